@@ -10,15 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.faults import algebra, data, models, noise
-from comparisons.faults.fault import (
-    Family,
-    Fault,
-    Feed,
-    moving,
-    observing,
-    remembering,
-    together,
-)
+from comparisons.faults.fault import Family, Fault, Feed, moving, observing, remembering, together
 from comparisons.logs.log import LandmarkMeasurements, Log
 from comparisons.logs.odometry import (
     OdometryNoise,

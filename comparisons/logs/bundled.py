@@ -24,7 +24,6 @@ class SimulationChoices:
     noise_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}, expected 0 or more")
         if not 1 <= self.loops <= 1000:
@@ -85,45 +84,34 @@ NAMED: dict[str, NamedLog] = {
         "bundled with gtsam",
     ),
     "simulated-loop": NamedLog(
-        "255 m loop among 60 landmarks (Nieto 2005, section 2.9)",
-        _simulated_loop,
+        "255 m loop among 60 landmarks (Nieto 2005, section 2.9)", _simulated_loop
     ),
     "waypoint-run": NamedLog(
-        "waypoints and back (Misono 2007, section 4.1)",
-        _waypoint_run,
-        ("--seed", "--noise-scale"),
+        "waypoints and back (Misono 2007, section 4.1)", _waypoint_run, ("--seed", "--noise-scale")
     ),
     "scan-loop": NamedLog(
-        "laser scans, objects and landmarks (Nieto 2005, Fig. 3.17)",
-        _scans("dense_slam"),
+        "laser scans, objects and landmarks (Nieto 2005, Fig. 3.17)", _scans("dense_slam")
     ),
     "scan-loop-fine": NamedLog(
-        "scan-loop with the noise of a SICK laser",
-        _scans("dense_slam_fine"),
+        "scan-loop with the noise of a SICK laser", _scans("dense_slam_fine")
     ),
     "scan-loop-3d": NamedLog(
-        "scan-loop with a 3D scanner of 16 rings",
-        _scans("dense_slam_in_space"),
+        "scan-loop with a 3D scanner of 16 rings", _scans("dense_slam_in_space")
     ),
     "occupancy-loop": NamedLog(
-        "laser scans for occupancy maps (Nieto 2005, Fig. 4.2)",
-        _scans("occupancy"),
+        "laser scans for occupancy maps (Nieto 2005, Fig. 4.2)", _scans("occupancy")
     ),
     "dynamic-lanes": NamedLog(
-        "static scanner, traffic (Nieto 2005, Fig. 6.9)",
-        _scans("dynamic_lanes", carried=True),
+        "static scanner, traffic (Nieto 2005, Fig. 6.9)", _scans("dynamic_lanes", carried=True)
     ),
     "dynamic-places": NamedLog(
-        "objects added, removed between loops (Nieto 2005, Fig. 6.10)",
-        _scans("dynamic_places"),
+        "objects added, removed between loops (Nieto 2005, Fig. 6.10)", _scans("dynamic_places")
     ),
     "scan-slam": NamedLog(
-        "laser scans without point landmarks (Nieto 2005, Fig. 5.8)",
-        _scans("scan_slam"),
+        "laser scans without point landmarks (Nieto 2005, Fig. 5.8)", _scans("scan_slam")
     ),
     "scan-slam-maps": NamedLog(
-        "scan-slam in half the area (Nieto 2005, Fig. 6.7)",
-        _scans("scan_slam_with_maps"),
+        "scan-slam in half the area (Nieto 2005, Fig. 6.7)", _scans("scan_slam_with_maps")
     ),
 }
 

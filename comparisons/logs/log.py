@@ -67,7 +67,6 @@ class LandmarkMeasurements(Stream, Brief):
     intensity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         for name in ("diameter_m", "intensity"):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
@@ -113,7 +112,6 @@ class Positions(Stream, Brief):
     antenna_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         antenna = tuple(float(value) for value in self.antenna_m)
         if len(antenna) != 2 or not np.isfinite(antenna).all():
             raise InputError(f"positions: antenna_m is {self.antenna_m}, expected two numbers")
@@ -141,7 +139,6 @@ class LoopClosures(Stream):
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the table."""
         check(self, "loop closures", rows="from_s", displacement=(3,), covariance=(3, 3))
         positive_definite("loop closures", self.covariance)
         same = np.flatnonzero(self.from_s == self.to_s)
@@ -165,7 +162,6 @@ class Landmarks:
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the table."""
         check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
         positive_definite("landmarks", self.covariance, singular=True)
         distinct("landmarks", self.id)
@@ -185,7 +181,6 @@ class Poses(Brief):
     pose: Array
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(self, "poses", rows="time_s", pose=(3,))
         increasing("poses", self.time_s)
 
@@ -203,7 +198,6 @@ class Surfaces:
     segment: Array
 
     def __post_init__(self) -> None:
-        """Check the table."""
         check(self, "surfaces", rows="segment", segment=(4,))
 
 
@@ -228,7 +222,6 @@ class Prior(Brief):
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         object.__setattr__(self, "time_s", float(self.time_s))
         if not abs(self.time_s) <= LARGEST:
             raise InputError(f"prior: time_s is {self.time_s}, expected at most {LARGEST:g}")

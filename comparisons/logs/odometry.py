@@ -30,7 +30,6 @@ class Ackermann:
     sensor_left_m: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for f in fields(self):
             value = getattr(self, f.name)
             object.__setattr__(self, f.name, float(value))
@@ -56,7 +55,6 @@ class OdometryNoise:
     variance_rate_heading: float = 1e-8
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for f in fields(self):
             value = getattr(self, f.name)
             object.__setattr__(self, f.name, float(value))
@@ -82,7 +80,6 @@ class SteeringOdometry(Stream, Brief):
         return self.speed_mps, self.steering_rad
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(self, "steering odometry", rows="time_s")
         increasing("steering odometry", self.time_s, equal=True)
         within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
@@ -112,7 +109,6 @@ class VelocityOdometry(Stream, Brief):
         return self.speed_mps, self.yaw_rate_radps
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(self, "velocity odometry", rows="time_s")
         increasing("velocity odometry", self.time_s, equal=True)
 
@@ -131,7 +127,6 @@ class RelativePoses(Stream, Brief):
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(
             self,
             "relative poses",

@@ -25,7 +25,6 @@ class Mount:
     heading_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for name, value in vars(self).items():
             if not abs(value) <= 1e3:
                 raise InputError(f"scans: mount {name} is {value}, expected at most 1000")
@@ -52,7 +51,6 @@ class Scans(Stream):
     beam_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         beams = (len(self.angle_rad),)
         check(
             self,
@@ -85,7 +83,6 @@ class Clouds:
     point_s: Array
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         points = len(self.point_m)
         first = np.array(self.first)
         count = len(self.time_s) + 1

@@ -386,10 +386,7 @@ class EventReader:
 
 
 def _faults(
-    stack: Array,
-    sigmas: Callable[[int], Array] = lambda index: np.zeros(0),
-    *,
-    definite: bool,
+    stack: Array, sigmas: Callable[[int], Array] = lambda index: np.zeros(0), *, definite: bool
 ) -> Iterator[tuple[int, str]]:
     """Yield index and fault of the matrices of (k, n, n) that are no covariances.
 

@@ -163,10 +163,7 @@ class DenseWatcher:
     """
 
     def __init__(
-        self,
-        log: Log,
-        options: DenseMapsConfig,
-        kinds: tuple[LandmarkKind, ...] = (POINT,),
+        self, log: Log, options: DenseMapsConfig, kinds: tuple[LandmarkKind, ...] = (POINT,)
     ) -> None:
         """kinds: of landmarks that regions are anchored to (Nieto 2005, section 6.2).
 

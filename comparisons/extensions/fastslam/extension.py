@@ -16,12 +16,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import (
-    Cloud,
-    Sampling,
-    build_fastslam,
-    run_fastslam,
-)
+from comparisons.extensions.fastslam.drive import Cloud, Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.figures import LeftOut, Less, More
 from comparisons.logs.transforms.known_landmarks import surveyed
@@ -193,10 +188,7 @@ class FastSlamFinding(Finding):
             ("whole log: mean effective sample size", f"{own.effective:.0f}"),
             ("whole log: ancestors in first and middle epoch", f"{own.first}, {own.middle}"),
         ]
-        return [
-            *(Row("FastSLAM", *one) for one in found),
-            *accuracy_rows("FastSLAM", own.accuracy),
-        ]
+        return [*(Row("FastSLAM", *one) for one in found), *accuracy_rows("FastSLAM", own.accuracy)]
 
     def draw(self, axis: Axes) -> None:
         """Draw FastSLAM's trajectory and map."""

@@ -101,12 +101,7 @@ def read(path: Path) -> Log:
         measurements=measurements,
         scans=scans,
         truth=truth,
-        provenance={
-            "file": path.name,
-            **drive.provenance,
-            **scanned,
-            "passed_over": passed_over,
-        },
+        provenance={"file": path.name, **drive.provenance, **scanned, "passed_over": passed_over},
     )
 
 
@@ -149,9 +144,7 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
     return _Drive(time_s, frames, odometry, provenance, first_ticks)
 
 
-def _frame_times(
-    frames: Sequence[stream.Frame],
-) -> tuple[Array, int | None, dict[str, str]]:
+def _frame_times(frames: Sequence[stream.Frame]) -> tuple[Array, int | None, dict[str, str]]:
     """(K,) of the frames; their numbers where their times are missing or do not increase."""
     ticks = [
         next(o.ticks for o in f.observations if isinstance(o, stream.Seen | stream.Sweep))

@@ -44,14 +44,7 @@ from comparisons.logs.readers.ros_bag import (
     open_bag,
     recognise_bag,
 )
-from comparisons.logs.readers.ros_messages import (
-    Sweep,
-    cloud,
-    frame,
-    rigid_motion,
-    stamp_ns,
-    sweep,
-)
+from comparisons.logs.readers.ros_messages import Sweep, cloud, frame, rigid_motion, stamp_ns, sweep
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Clouds, Mount, Scans
 

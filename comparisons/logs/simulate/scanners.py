@@ -47,7 +47,6 @@ class Planar:
     mount: Mount = field(default_factory=Mount)
 
     def __post_init__(self) -> None:
-        """Check the numbers. Raises InputError."""
         _check(self)
 
     @property
@@ -99,7 +98,6 @@ class Rings:
     mount: Mount = field(default_factory=Mount)
 
     def __post_init__(self) -> None:
-        """Check the numbers. Raises InputError."""
         _check(self)
 
     def record(

@@ -16,14 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.logs.log import (
-    LandmarkMeasurements,
-    Log,
-    Poses,
-    Positions,
-    Prior,
-    Truth,
-)
+from comparisons.logs.log import LandmarkMeasurements, Log, Poses, Positions, Prior, Truth
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
 from comparisons.logs.simulate.drive import exact_landmarks
@@ -187,10 +180,7 @@ def simulate(
             range_m=np.array([r for _, r in scans]),
             intensity=np.zeros((len(scans), len(_BEAMS))),
         ),
-        truth=Truth(
-            Poses(time_s, np.array(poses)),
-            exact_landmarks(place),
-        ),
+        truth=Truth(Poses(time_s, np.array(poses)), exact_landmarks(place)),
         provenance={
             "source": "Misono 2007, section 4.1; the course is ours",
             "waypoints": str(len(run.waypoint)),
