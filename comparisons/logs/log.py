@@ -22,12 +22,12 @@ from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
     Stream,
-    above_zero,
     check,
     distinct,
     frozen,
     increasing,
     positive_definite,
+    refuse,
     standard_deviation,
     within,
 )
@@ -74,17 +74,12 @@ class LandmarkMeasurements(Stream, Brief):
             raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
         check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
         increasing("measurements", self.time_s, equal=True)
-        above_zero("measurements", "range_m", self.range_m)
+        refuse("measurements", self.range_m <= 0, "range_m", self.range_m, "above 0")
         for name in ("sigma_range_m", "sigma_bearing_rad"):
             standard_deviation("measurements", name, getattr(self, name))
         within("measurements", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
-        bad = np.flatnonzero(self.landmark < NO_LANDMARK)
-        if len(bad):
-            raise RecordError(
-                "measurements",
-                int(bad[0]),
-                f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
-            )
+        unknown, expected = self.landmark < NO_LANDMARK, f"an id from 0 or {NO_LANDMARK}"
+        refuse("measurements", unknown, "landmark", self.landmark, expected)
 
     @property
     def labelled(self) -> bool:
@@ -402,11 +397,10 @@ class Log(Shown):
     @property
     def end_s(self) -> float:
         """Time of the last odometry or measurement, or of the last scan where there are neither."""
-        streams: tuple[Odometry | LandmarkMeasurements | Scans | Clouds | None, ...]
-        streams = (self.odometry, self.measurements)
-        if not any(len(s.time_s) for s in streams if s is not None):
-            streams = (self.scans, self.clouds)
-        return max(float(s.time_s[-1]) for s in streams if s is not None and len(s.time_s))
+        driven = [self.odometry.time_s, self.measurements.time_s]
+        scanned = [s.time_s for s in (self.scans, self.clouds) if s is not None]
+        times = driven if any(map(len, driven)) else scanned
+        return max(float(time_s[-1]) for time_s in times if len(time_s))
 
     @property
     def labels(self) -> dict[int, str]:

@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST, VARIANCES
+from comparisons.logs.from_arrays import (
+    COVARIANCE,
+    GAPS,
+    KINDS,
+    MEASUREMENTS,
+    TWIST,
+    VARIANCES,
+)
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import RelativePoses, wheel_samples
@@ -29,16 +36,7 @@ from comparisons.logs.stamps import since
 from graphslam.increments import Samples, dead_reckoned
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
-_MEASUREMENTS = (
-    "time_s",
-    "range_m",
-    "bearing_rad",
-    "landmark",
-    "sigma_range_m",
-    "sigma_bearing_rad",
-    "diameter_m",
-    "intensity",
-)
+_MEASUREMENTS = (*MEASUREMENTS[:3], "landmark", *MEASUREMENTS[3:], *GAPS)
 _PLACE = ("time_s", "x_m", "y_m")
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)

@@ -10,7 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import Stream, check, increasing, positive_definite, within
+from comparisons.logs.validation import Stream, check, increasing, positive_definite, refuse, within
 from comparisons.shown import Brief
 from graphslam import increments
 
@@ -84,14 +84,8 @@ class SteeringOdometry(Stream, Brief):
         increasing("steering odometry", self.time_s, equal=True)
         within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
         slip = np.tan(self.steering_rad) * self.vehicle.encoder_offset_m / self.vehicle.wheelbase_m
-        bad = np.flatnonzero(slip > 0.95)
-        if len(bad):
-            raise RecordError(
-                "steering odometry",
-                int(bad[0]),
-                f"steering_rad is {self.steering_rad[bad[0]]}, expected a smaller angle (it turns "
-                "the vehicle about the wheel with the encoder)",
-            )
+        smaller = "a smaller angle (it turns the vehicle about the wheel with the encoder)"
+        refuse("steering odometry", slip > 0.95, "steering_rad", self.steering_rad, smaller)
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,10 +16,8 @@ _LEAST_SIGMA = 1e-3
 def reckoned_motion(instants_s: Array, sample_s: Array, rows: Array) -> tuple[RelativePoses, str]:
     """Return the motions between instants by messages of odometry, and where their noise is from.
 
-    Args:
-        instants_s: (N,) within the samples' time.
-        sample_s: (M,).
-        rows: (M, 15) pose, variances of vx, vy and yaw rate, covariance (3, 3) of the pose.
+    instants_s: (N,) within the samples' time (M,). rows: (M, 15) pose, variances of vx, vy and yaw
+    rate, covariance (3, 3) of the pose.
     """
     motion = displacements(instants_s, poses_at(instants_s, sample_s, rows[:, :3]))
     added, words = odometry_noise(sample_s, rows)
@@ -53,11 +51,8 @@ def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:
     if grown is not None:
         return grown, "the increments of Odometry's pose covariances"
     variance = rows[:-1, 3:6]
-    if (
-        (variance[:, [0, 2]] > 0).all()
-        and (variance >= 0).all()
-        and (variance <= LARGEST_VARIANCE).all()
-    ):
+    positive = (variance[:, [0, 2]] > 0).all() and (variance >= 0).all()
+    if positive and (variance <= LARGEST_VARIANCE).all():
         steps = variance * np.diff(time_s)[:, None] ** 2
         return steps[:, :, None] * np.eye(3), "Odometry's twist covariances, each sample's own"
     return None, (
