@@ -197,16 +197,13 @@ class ExternalEstimate(Brief):
     @property
     def absent(self) -> list[str]:
         """What is missing, in words."""
-        return [
-            words
-            for value, words in (
-                (self.landmark, "landmarks"),
-                (self.pose_covariance, "pose covariances"),
-                (self.landmark_covariance, "landmark covariances"),
-                (self.joint_covariance, "joint covariance"),
-            )
-            if value is None
-        ]
+        named = {
+            "landmark": "landmarks",
+            "pose_covariance": "pose covariances",
+            "landmark_covariance": "landmark covariances",
+            "joint_covariance": "joint covariance",
+        }
+        return [words for name, words in named.items() if getattr(self, name) is None]
 
 
 def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
