@@ -21,7 +21,11 @@ from comparisons.logs.odometry import (
 from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from comparisons.statistics import ROUNDING
 
-NAMED = (*algebra.FAULTS, *models.FAULTS, *noise.FAULTS, *data.FAULTS)
+NAMED = tuple(
+    fault._replace(name=name)
+    for module in (algebra, models, noise, data)
+    for name, fault in module.FAULTS.items()
+)
 """Faults with a short name each, planted in the filter."""
 _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
