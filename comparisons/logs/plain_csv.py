@@ -153,20 +153,11 @@ def read_plain(
     units: Mapping[str, str] | None = None,
     start_s: int | None = 0,
 ) -> PlainTable:
-    """Read the columns of a CSV file that are among those wanted.
+    """Return, in SI, what a CSV file has of the columns of a log folder that are wanted.
 
-    Args:
-        path: The file.
-        wanted: Columns of a log folder.
-        units: By a header or a column's usual name, the unit of its values.
-        start_s: What times count from, subtracted from their decimals; None: the origin of the
-            file's own.
-
-    Returns:
-        What of them the file has, in SI.
-
-    Raises:
-        InputError: Naming file, line, column and expectation.
+    units: by a header or a column's usual name, the unit of its values. start_s: what times count
+    from, subtracted from their decimals; None: the origin of the file's own. Raises InputError
+    naming file, line, column and expectation.
     """
     lines = _lines(path, wanted)
     sources = _sources(lines, wanted, units or {})
