@@ -94,11 +94,8 @@ def _scans(time_s: Array, words: Array) -> Scans:
     bad = np.argwhere((words < 0) | (words >= 2**16) | (words != np.round(words)))
     if len(bad):
         row, beam = bad[0].tolist()
-        raise RecordError(
-            "LASER",
-            row,
-            f"beam {beam} is {words[row, beam]:g}, expected a whole number below 65536",
-        )
+        fault = f"beam {beam} is {words[row, beam]:g}, expected a whole number below 65536"
+        raise RecordError("LASER", row, fault)
     whole = words.astype(np.uint16)
     range_m = (whole & (2**_RANGE_BITS - 1)) / 100.0
     return Scans(

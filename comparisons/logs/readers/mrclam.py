@@ -86,7 +86,7 @@ def read(path: Path, robot: int) -> Log:
         raise InputError(
             f"{captured.path}: does not cover the start of the odometry, which gives the prior"
         )
-    first = np.array([np.interp(0.0, truth.time_s, truth.pose[:, i]) for i in range(3)])
+    first = truth.at(np.zeros(1))[0]
     return Log(
         name=f"{path.name.lower()}-robot-{robot}",
         format="mrclam",

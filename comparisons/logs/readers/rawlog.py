@@ -139,8 +139,8 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
     with _locating(path, lambda row: frames[row + 1].at):
         odometry = RelativePoses(time_s[1:], composed.displacement, composed.covariance)
     provenance["odometry"] = f"{len(inside)} CActionRobotMovement2D, covariances of their models"
-    provenance["left_out"] = f"{len(moves) - len(inside)} motions before the first frame or after "
-    provenance["left_out"] += "the last"
+    beyond = f"{len(moves) - len(inside)} motions before the first frame or after the last"
+    provenance["left_out"] = beyond
     return _Drive(time_s, frames, odometry, provenance, first_ticks)
 
 
@@ -153,14 +153,9 @@ def _frame_times(frames: Sequence[stream.Frame]) -> tuple[Array, int | None, dic
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
     if all(ticks) and (np.diff(time_s) >= _LEAST_STEP_S).all():
         return time_s, ticks[0], {"time_origin": _when(ticks[0])}
-    return (
-        np.arange(float(len(frames))),
-        None,
-        {
-            "times": "frame numbers in place of seconds, since the file's times do not increase by "
-            f"{_LEAST_STEP_S:g} s from frame to frame"
-        },
-    )
+    why = f"the file's times do not increase by {_LEAST_STEP_S:g} s from frame to frame"
+    numbered = {"times": f"frame numbers in place of seconds, since {why}"}
+    return np.arange(float(len(frames))), None, numbered
 
 
 def _when(ticks: int) -> str:
@@ -172,9 +167,9 @@ def _when(ticks: int) -> str:
 
 def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Drive:
     """Observations by their own times, with the odometry's poses interpolated there."""
-    every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
     moving: dict[int, stream.Odometry] = {}
     seen: dict[int, list[stream.Record]] = {}
+    every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
     for item in every:
         if isinstance(item, stream.Passed):
             continue
