@@ -164,8 +164,7 @@ class Landmarks:
     def places_of(self, ids: Ids) -> Array:
         """(K, 2) positions of landmarks by their ids (K,), all of which are in the map."""
         order = np.argsort(self.id)
-        places: Array = self.position_m[order[np.searchsorted(self.id, ids, sorter=order)]]
-        return places
+        return self.position_m[order[np.searchsorted(self.id, ids, sorter=order)]]
 
 
 @dataclass(frozen=True, repr=False)
@@ -369,8 +368,7 @@ class Log(Shown):
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        found: DataFrame = render("frame", self, table)
-        return found
+        return render("frame", self, table)
 
     def _check_loop_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""

@@ -32,8 +32,7 @@ def added_between(instants_s: Array, sample_s: Array, added: Array) -> Array:
     """Return the covariances (N - 1, 3, 3) between instants (N,), of those between samples (M,)."""
     total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
     reported = np.column_stack([np.interp(instants_s, sample_s, one) for one in total.T])
-    found: Array = np.diff(reported, axis=0).reshape(-1, 3, 3)
-    return found
+    return np.diff(reported, axis=0).reshape(-1, 3, 3)
 
 
 def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:
@@ -80,5 +79,4 @@ def _growth(pose: Array, covariance: Array) -> Array | None:
     turned = np.zeros((len(step), 3, 3))
     turned[:, 0, 0] = turned[:, 1, 1] = c
     turned[:, 0, 1], turned[:, 1, 0], turned[:, 2, 2] = s, -s, 1.0
-    found: Array = turned @ added @ turned.transpose(0, 2, 1)
-    return found
+    return turned @ added @ turned.transpose(0, 2, 1)

@@ -294,8 +294,7 @@ def _later(seen: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
 def _in_poses_frame(seen: PoseLandmarkMeasurements, rows: Index) -> Array:
     """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
     turn = to_tangent(seen.measured[rows, 2])
-    turned: Array = turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
-    return turned
+    return turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
 
 
 def _rms(apart: Array) -> float:

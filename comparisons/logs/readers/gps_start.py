@@ -183,10 +183,7 @@ def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Arra
 
 
 def _at(wanted_s: Array, time_s: Array, path: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    found: NDArray[np.complex128] = np.interp(wanted_s, time_s, path.real) + 1j * np.interp(
-        wanted_s, time_s, path.imag
-    )
-    return found
+    return np.interp(wanted_s, time_s, path.real) + 1j * np.interp(wanted_s, time_s, path.imag)
 
 
 def east_north(latitude: Array, longitude: Array, altitude: Array) -> Array:

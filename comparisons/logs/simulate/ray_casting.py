@@ -109,8 +109,7 @@ def cast_rings(
         down_m = (height_m - disc_top) / -slope
         met = (discs.enter_m < down_m) & (down_m < discs.leave_m)
         np.minimum.at(nearest, discs.beam[met], down_m[met])
-    ranges: Array = way / np.cos(elevation_rad)
-    return ranges
+    return way / np.cos(elevation_rad)
 
 
 def _walls(angle_rad: Array, pose: Array, solids: Solids) -> _Crossings:

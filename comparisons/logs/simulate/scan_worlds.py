@@ -67,8 +67,7 @@ class Mover:
         period = 2.0 * length if self.back else length
         gone = np.mod(self.speed_mps * (time_s + self.lead_s), period)
         part = np.minimum(gone, 2.0 * length - gone) / length
-        place: Array = start + part[:, None] * way
-        return place
+        return start + part[:, None] * way
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -161,8 +161,7 @@ def _measured(
     noisy = ranges + scale * sensor.sigma_range_m * rng.standard_normal(ranges.shape)
     seen = (ranges >= sensor.min_range_m) & (ranges <= sensor.max_range_m) & (noisy > 0.0)
     seen &= rng.random(ranges.shape) >= sensor.dropout
-    reported: Array = np.where(seen, noisy, np.nan)
-    return reported
+    return np.where(seen, noisy, np.nan)
 
 
 def _mounted(pose: Array, mount: Mount) -> Array:

@@ -254,5 +254,4 @@ def _scan(
     discs = Solids(disc=np.column_stack((place, diameter)))
     nearest = cast(_BEAMS, pose, discs)
     nearest = np.where(nearest <= run.max_range_m, nearest, np.nan)
-    ranges: Array = nearest + run.added_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))
-    return ranges
+    return nearest + run.added_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))
