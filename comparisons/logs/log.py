@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
@@ -80,6 +80,30 @@ class LandmarkMeasurements(Stream, Brief):
         within("measurements", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
         unknown, expected = self.landmark < NO_LANDMARK, f"an id from 0 or {NO_LANDMARK}"
         refuse("measurements", unknown, "landmark", self.landmark, expected)
+
+    @classmethod
+    def of(
+        cls,
+        time_s: Array,
+        z: Array,
+        sigma: ArrayLike,
+        landmark: ArrayLike = NO_LANDMARK,
+        **more: Any,
+    ) -> LandmarkMeasurements:
+        """Return measurements z (M, 2), range and bearing, with sigmas (M, 2), or (2,) of all.
+
+        landmark: (M,) ids, or one of all. more: the other fields.
+        """
+        sigma_range_m, sigma_bearing_rad = np.broadcast_to(np.asarray(sigma, float), z.shape).T
+        return cls(
+            time_s=time_s,
+            range_m=z[:, 0],
+            bearing_rad=z[:, 1],
+            sigma_range_m=sigma_range_m,
+            sigma_bearing_rad=sigma_bearing_rad,
+            landmark=np.broadcast_to(landmark, len(z)),
+            **more,
+        )
 
     @property
     def labelled(self) -> bool:

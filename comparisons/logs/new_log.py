@@ -10,14 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.from_arrays import (
-    COVARIANCE,
-    GAPS,
-    KINDS,
-    MEASUREMENTS,
-    TWIST,
-    VARIANCES,
-)
+from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import RelativePoses, wheel_samples

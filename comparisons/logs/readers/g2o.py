@@ -47,13 +47,11 @@ def read(path: Path) -> Log:
         odometry=RelativePoses(
             np.arange(1.0, problem.pose_count), problem.increment, problem.increment_covariance
         ),
-        measurements=LandmarkMeasurements(
-            time_s=problem.measurement_pose[order].astype(float),
-            range_m=problem.z[order, 0],
-            bearing_rad=problem.z[order, 1],
-            sigma_range_m=problem.sigma[order, 0],
-            sigma_bearing_rad=problem.sigma[order, 1],
-            landmark=ids[problem.measurement_landmark[order]],
+        measurements=LandmarkMeasurements.of(
+            problem.measurement_pose[order].astype(float),
+            problem.z[order],
+            problem.sigma[order],
+            ids[problem.measurement_landmark[order]],
         ),
         positions=Positions(
             problem.position_pose[fixes].astype(float),

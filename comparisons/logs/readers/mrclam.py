@@ -107,13 +107,6 @@ def read(path: Path, robot: int) -> Log:
 
 def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMeasurements:
     """All records as recorded, robots included, so that a fault is reported by its line."""
-    count = len(measured)
     within("measurements", "bearing_rad", measured["bearing"], -1.5, 1.5)
-    return LandmarkMeasurements(
-        time_s=since(measured["time"], start),
-        range_m=measured["range"],
-        bearing_rad=measured["bearing"],
-        sigma_range_m=np.ones(count),
-        sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
-        landmark=whole_numbers("measurements", "subject", landmark),
-    )
+    time_s, ids = since(measured["time"], start), whole_numbers("measurements", "subject", landmark)
+    return LandmarkMeasurements.of(time_s, measured.data[:, 2:], (1.0, _SIGMA_BEARING_RAD), ids)

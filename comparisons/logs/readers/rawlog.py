@@ -226,16 +226,15 @@ def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
     polar = np.concatenate([item.polar for item in items])
     offset = np.array([item.at for item in items])
     turned = np.array([np.arctan2(item.sensor[1, 0], item.sensor[0, 0]) for item in items])
-    sigma = np.array([item.sigma for item in items])
+    sigma = np.array([item.sigma[:2] for item in items])
     bearing = polar[:, 1] + np.repeat(turned, counts)
+    bearing = np.where(np.abs(bearing) > np.pi, np.angle(np.exp(1j * bearing)), bearing)
     with _locating(path, lambda row: int(np.repeat(offset, counts)[row])):
-        return LandmarkMeasurements(
-            time_s=np.repeat(times, counts),
-            range_m=polar[:, 0],
-            bearing_rad=np.where(np.abs(bearing) > np.pi, np.angle(np.exp(1j * bearing)), bearing),
-            sigma_range_m=np.repeat(sigma[:, 0], counts),
-            sigma_bearing_rad=np.repeat(sigma[:, 1], counts),
-            landmark=np.maximum(np.concatenate([item.landmark for item in items]), NO_LANDMARK),
+        return LandmarkMeasurements.of(
+            np.repeat(times, counts),
+            np.column_stack((polar[:, 0], bearing)),
+            np.repeat(sigma, counts, axis=0),
+            np.maximum(np.concatenate([item.landmark for item in items]), NO_LANDMARK),
         )
 
 

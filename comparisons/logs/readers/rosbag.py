@@ -240,14 +240,7 @@ def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
     numbers = LandmarkNumbers(labels)
     if numbers.by_text:
         where.provenance["labels"] = numbers.text()
-    return LandmarkMeasurements(
-        time_s=where.seconds(stream)[message],
-        range_m=z[:, 0],
-        bearing_rad=z[:, 1],
-        sigma_range_m=sigmas[:, 0],
-        sigma_bearing_rad=sigmas[:, 1],
-        landmark=numbers.of(labels),
-    )
+    return LandmarkMeasurements.of(where.seconds(stream)[message], z, sigmas, numbers.of(labels))
 
 
 def _positions(

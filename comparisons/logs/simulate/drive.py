@@ -145,16 +145,10 @@ def point_measurements(
         for scans in blocks(len(pose), landmark.shape[-2], PAIRS)
     ]
     scan, which, distance, bearing = (np.concatenate(column) for column in zip(*parts, strict=True))
-    count = len(scan)
-    noise, scale = drive.added_scale * rng.standard_normal((count, 2)), drive.noise_scale
-    return LandmarkMeasurements(
-        time_s=time[scan],
-        range_m=distance + drive.sigma_range_m * noise[:, 0],
-        bearing_rad=bearing + drive.sigma_bearing_rad * noise[:, 1],
-        sigma_range_m=np.full(count, scale * drive.sigma_range_m),
-        sigma_bearing_rad=np.full(count, scale * drive.sigma_bearing_rad),
-        landmark=which,
-    )
+    sigma = np.array((drive.sigma_range_m, drive.sigma_bearing_rad))
+    noise = drive.added_scale * rng.standard_normal((len(scan), 2))
+    z = np.column_stack((distance, bearing)) + sigma * noise
+    return LandmarkMeasurements.of(time[scan], z, drive.noise_scale * sigma, which)
 
 
 def _in_view(

@@ -32,16 +32,13 @@ class Moving(Protocol):
     @property
     def diameter_m(self) -> float:
         """Across."""
-        ...
 
     @property
     def height_m(self) -> float:
         """Over the ground."""
-        ...
 
     def place(self, time_s: Array) -> Array:
         """(N, 2) at times (N,), NaN while it is nowhere."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,19 +29,15 @@ class Navigator(Protocol):
 
     def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
         """One sample of odometry, as in RelativePoses, and where it truly led (3,)."""
-        ...
 
     def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
         """Measurements of one instant: range and bearing (m, 2) with sigmas, ids (m,)."""
-        ...
 
     def fixed(self, position: Array, covariance: Array) -> None:
         """An absolute position (2,) with covariance (2, 2)."""
-        ...
 
     def pose(self) -> Array:
         """(3,) where it believes to be."""
-        ...
 
 
 class TrueNavigator:
@@ -161,14 +157,7 @@ def simulate(
         format="simulated",
         prior=Prior(0.0, np.zeros(3), stated * _PRIOR * np.eye(3)),
         odometry=RelativePoses(time_s[1:], np.array(moves), np.array(spreads)),
-        measurements=LandmarkMeasurements(
-            time_s=stamp,
-            range_m=z[:, 0],
-            bearing_rad=z[:, 1],
-            sigma_range_m=sigma[:, 0],
-            sigma_bearing_rad=sigma[:, 1],
-            landmark=landmark,
-        ),
+        measurements=LandmarkMeasurements.of(stamp, z, sigma, landmark),
         positions=Positions(
             np.array([t for t, _ in fixes]),
             np.array([fix for _, fix in fixes]).reshape(-1, 2),
