@@ -22,35 +22,25 @@ _POSE, _POINT = 3, 2
 _ID = re.compile(r"(?:.*\D)?(\d{1,18})")
 COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
-        "time_s": (),
-        "departed": (_POSE,),
-        "arrived": (_POSE,),
-        **dict.fromkeys(("f", "q"), (_POSE, _POSE)),
+        "time_s": (), "departed": (_POSE,), "arrived": (_POSE,),
+        "f": (_POSE, _POSE), "q": (_POSE, _POSE),
     },
     "update": {
-        **dict.fromkeys(("step", "measurement", "landmark", "weight"), ()),
-        "pose": (_POSE,),
-        "point": (_POINT,),
-        "innovation": (_POINT,),
-        "jacobian_pose": (_POINT, _POSE),
-        "jacobian_landmark": (_POINT, _POINT),
+        "step": (), "measurement": (), "landmark": (), "weight": (),
+        "pose": (_POSE,), "point": (_POINT,), "innovation": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE), "jacobian_landmark": (_POINT, _POINT),
         "noise": (_POINT, _POINT),
     },
     "initialise": {
-        **dict.fromkeys(("step", "measurement", "landmark", "weight"), ()),
-        "pose": (_POSE,),
-        "point": (_POINT,),
-        "jacobian_pose": (_POINT, _POSE),
-        **dict.fromkeys(("jacobian_measurement", "noise"), (_POINT, _POINT)),
+        "step": (), "measurement": (), "landmark": (), "weight": (),
+        "pose": (_POSE,), "point": (_POINT,), "jacobian_pose": (_POINT, _POSE),
+        "jacobian_measurement": (_POINT, _POINT), "noise": (_POINT, _POINT),
     },
     "position": {
-        **dict.fromkeys(("step", "number", "weight"), ()),
-        "pose": (_POSE,),
-        "innovation": (_POINT,),
-        "jacobian_pose": (_POINT, _POSE),
-        "noise": (_POINT, _POINT),
+        "step": (), "number": (), "weight": (), "pose": (_POSE,), "innovation": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE), "noise": (_POINT, _POINT),
     },
-}
+}  # fmt: skip
 """By part and name, the shapes of the columns' rows."""
 
 

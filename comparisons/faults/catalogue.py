@@ -192,13 +192,14 @@ def _every_second_scan(seen: LandmarkMeasurements) -> LandmarkMeasurements:
     return seen.chosen(np.unique(seen.time_s, return_inverse=True)[1] % 2 == 0)
 
 
+def _rooted(name: str) -> Callable[[Any], Any]:
+    """The root of a sigma in its place."""
+    return lambda one: replace(one, **{name: np.sqrt(getattr(one, name))})
+
+
 _MEASUREMENTS: dict[str, Change] = {
-    "R of the range contains sigma, not its square": lambda s: replace(
-        s, sigma_range_m=np.sqrt(s.sigma_range_m)
-    ),
-    "R of the bearing contains sigma, not its square": lambda s: replace(
-        s, sigma_bearing_rad=np.sqrt(s.sigma_bearing_rad)
-    ),
+    "R of the range contains sigma, not its square": _rooted("sigma_range_m"),
+    "R of the bearing contains sigma, not its square": _rooted("sigma_bearing_rad"),
     "the sigmas of range and bearing are exchanged": lambda s: replace(
         s, sigma_range_m=s.sigma_bearing_rad, sigma_bearing_rad=s.sigma_range_m
     ),
@@ -208,12 +209,8 @@ _MEASUREMENTS: dict[str, Change] = {
 }
 _UNSTABLE = "the stabilisation noise is left out"
 _WHEELS: dict[str, Callable[[OdometryNoise], OdometryNoise]] = {
-    "Q of the speed contains sigma, not its square": lambda n: replace(
-        n, sigma_speed_mps=np.sqrt(n.sigma_speed_mps)
-    ),
-    "Q of the turn contains sigma, not its square": lambda n: replace(
-        n, sigma_turn=np.sqrt(n.sigma_turn)
-    ),
+    "Q of the speed contains sigma, not its square": _rooted("sigma_speed_mps"),
+    "Q of the turn contains sigma, not its square": _rooted("sigma_turn"),
     _UNSTABLE: lambda n: replace(n, variance_rate_position=0.0, variance_rate_heading=0.0),
 }
 

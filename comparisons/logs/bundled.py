@@ -132,14 +132,6 @@ def exists(path: Path) -> bool:
         return False
 
 
-def _nearest_name(typed: str) -> str:
-    """Return the question whether a bundled log was meant, empty where none has such a name."""
-    from difflib import get_close_matches
-
-    close = get_close_matches(typed, NAMED, n=1, cutoff=0.7)
-    return f"; did you mean {close[0]}?" if close else ""
-
-
 def open_log(
     name: str,
     format_name: str | None = None,
@@ -160,7 +152,10 @@ def open_log(
         return NAMED[name].open(choices)
     path = Path(name)
     if not exists(path):
-        near = _nearest_name(path.name)
+        from difflib import get_close_matches
+
+        close = get_close_matches(path.name, NAMED, n=1, cutoff=0.7)
+        near = f"; did you mean {close[0]}?" if close else ""
         raise InputError(
             f"{shorten(name, 200)}: no such file or folder{near} "
             "(slamcheck logs lists bundled names)"

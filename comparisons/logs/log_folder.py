@@ -251,17 +251,11 @@ def _landmarks(table: Table) -> Landmarks:
 def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel) -> Scans | None:
     if not path.exists():
         return None
-    time_s, angle_rad, range_m, intensity = read_archive(path, _SCANS)
+    found: dict[str, Any] = dict(zip(_SCANS, read_archive(path, _SCANS), strict=True))
+    found["time_s"] = rest(found["time_s"])
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
     with naming(path, RecordError):
-        return Scans(
-            time_s=rest(time_s),
-            angle_rad=angle_rad,
-            range_m=range_m,
-            intensity=intensity,
-            mount=mount,
-            beam_s=settings.beam_s,
-        )
+        return Scans(**found, mount=mount, beam_s=settings.beam_s)
 
 
 def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:

@@ -121,14 +121,8 @@ class RelativePoses(Stream, Brief):
     covariance: Array
 
     def __post_init__(self) -> None:
-        check(
-            self,
-            "relative poses",
-            rows="time_s",
-            gaps=("covariance",),
-            displacement=(3,),
-            covariance=(3, 3),
-        )
+        shapes = {"displacement": (3,), "covariance": (3, 3)}
+        check(self, "relative poses", rows="time_s", gaps=("covariance",), **shapes)
         increasing("relative poses", self.time_s)
         unknown = np.asarray(np.isnan(self.covariance))
         missing = np.asarray(unknown.all(axis=(1, 2)))

@@ -176,7 +176,8 @@ def read_plain(
         elif len(source.places) > 1:
             columns[name] = _heading(lines, source)
         else:
-            found = source.unit or _followed(name, sources)
+            followed = sources.get(_FOLLOWS.get(name, ""), source)
+            found = source.unit or (followed.unit and followed.unit.removeprefix("-"))
             factor[name] = _factor(name, found or "")
             words = lines.words(source.places[0])
             columns[name] = factor[name] * _numbers(path, words, lines.line, name, header)
@@ -370,12 +371,6 @@ def _factor(name: str, unit: str) -> float:
     """What makes SI of a column's values; a unit behind `-` counts the other way round."""
     factor = UNITS.get(_dimension(name), {}).get(unit.removeprefix("-"), 1.0)
     return -factor if unit.startswith("-") else factor
-
-
-def _followed(name: str, sources: Mapping[str, _Source]) -> str | None:
-    """The unit of the column whose sigmas another holds."""
-    followed = sources.get(_FOLLOWS.get(name, ""))
-    return None if followed is None or not followed.unit else followed.unit.removeprefix("-")
 
 
 def _unit_words(name: str, unit: str | None, source: _Source) -> str:

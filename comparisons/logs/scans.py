@@ -52,15 +52,8 @@ class Scans(Stream):
 
     def __post_init__(self) -> None:
         beams = (len(self.angle_rad),)
-        check(
-            self,
-            "scans",
-            rows="time_s",
-            gaps=("range_m",),
-            angle_rad=None,
-            range_m=beams,
-            intensity=beams,
-        )
+        shapes = {"angle_rad": None, "range_m": beams, "intensity": beams}
+        check(self, "scans", rows="time_s", gaps=("range_m",), **shapes)
         increasing("scans", self.time_s)
         if not abs(self.beam_s) * len(self.angle_rad) <= _LONGEST_SWEEP_S:
             raise InputError(

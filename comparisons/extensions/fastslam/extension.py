@@ -134,6 +134,7 @@ class FastSlamFinding(Finding):
         self.titles = {"fastslam": "FastSLAM"}
         apart = cloud.mean - smoothed.pose
         apart[:, 2] = wrap_angle(apart[:, 2])
+        distinct = cloud.slam.history.distinct()
         self.result = FastSlamResult(
             **vars(check),
             particles=settings.particles,
@@ -143,7 +144,9 @@ class FastSlamFinding(Finding):
             path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
             difference_m=float(np.hypot(*apart[-1, :2])),
             difference_rad=float(abs(apart[-1, 2])),
-            **vars(cloud.depletion()),
+            effective=float(np.mean(cloud.slam.history.effective)),
+            first=int(distinct[0]),
+            middle=int(distinct[len(distinct) // 2]),
             accuracy=self.accuracy,
         )
         self.entries = {"fastslam": self.result}

@@ -195,14 +195,9 @@ def east_north(latitude: Array, longitude: Array, altitude: Array) -> Array:
     phi, lam = np.deg2rad(latitude), np.deg2rad(longitude)
     square = _FLATTENING * (2.0 - _FLATTENING)
     normal = _EQUATOR_M / np.sqrt(1.0 - square * np.sin(phi) ** 2)
-    centred = np.stack(
-        (
-            (normal + altitude) * np.cos(phi) * np.cos(lam),
-            (normal + altitude) * np.cos(phi) * np.sin(lam),
-            (normal * (1.0 - square) + altitude) * np.sin(phi),
-        ),
-        axis=1,
-    )
+    x = (normal + altitude) * np.cos(phi) * np.cos(lam)
+    y = (normal + altitude) * np.cos(phi) * np.sin(lam)
+    centred = np.stack((x, y, (normal * (1.0 - square) + altitude) * np.sin(phi)), axis=1)
     moved = centred - centred[0]
     east = np.array((-np.sin(lam[0]), np.cos(lam[0]), 0.0))
     north = np.array(

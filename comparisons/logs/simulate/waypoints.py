@@ -62,11 +62,9 @@ class TrueNavigator:
         return self._pose
 
 
-def _waypoints() -> Array:
-    return np.array(
-        [(12, 4), (22, 14), (34, 12), (40, 26), (28, 34), (14, 30), (4, 38), (-6, 24), (2, 12)],
-        dtype=float,
-    )
+_COURSE = (
+    (12, 4), (22, 14), (34, 12), (40, 26), (28, 34), (14, 30), (4, 38), (-6, 24), (2, 12),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +78,7 @@ class WaypointRun:
     states its sigmas all the same.
     """
 
-    waypoint: Array = field(default_factory=_waypoints)
+    waypoint: Array = field(default_factory=lambda: np.array(_COURSE, dtype=float))
     obstacles: int = 45
     speed_mps: float = 1.0
     most_turn_radps: float = math.radians(60.0)
