@@ -62,9 +62,7 @@ class TrueNavigator:
         return self._pose
 
 
-_COURSE = (
-    (12, 4), (22, 14), (34, 12), (40, 26), (28, 34), (14, 30), (4, 38), (-6, 24), (2, 12),
-)  # fmt: skip
+_COURSE = ((12, 4), (22, 14), (34, 12), (40, 26), (28, 34), (14, 30), (4, 38), (-6, 24), (2, 12))
 
 
 @dataclass(frozen=True, kw_only=True)
