@@ -14,18 +14,14 @@ _BY = " (benchmarks/dense_maps.py)"
 ROWS = (
     Documented(
         place="N 3.5, first condition",
-        what="correlation of each pair of a region's landmarks: high",
-        value=0.9,
-        named=True,
+        what="correlation of each pair of a region's landmarks: high", value=0.9, named=True,
         at="dense_maps.least_correlation",
         also=("ekf_reference.dense.conditions:Conditions.least_correlation",),
     ),
     Documented(
         place="N 3.5, first condition",
         what="relative sigma that lets a pair into a region whatever its correlation (0: none)",
-        value=0.0,
-        unit="m",
-        at="dense_maps.known_apart_m",
+        value=0.0, unit="m", at="dense_maps.known_apart_m",
         absent="0.5 m, 1.5 m on scan landmarks alone",
         also=("ekf_reference.dense.conditions:Conditions.known_apart_m",),
         reason="0 leaves 51 % of the returns of scan-loop without a region instead of 16 %, 43 % "
@@ -35,11 +31,8 @@ ROWS = (
         "correlate little" + _BY,
     ),
     Documented(
-        place="N 3.5",
-        what="longest edge of a region (none in its three conditions)",
-        value=math.inf,
-        unit="m",
-        at="dense_maps.longest_edge_m",
+        place="N 3.5", what="longest edge of a region (none in its three conditions)",
+        value=math.inf, unit="m", at="dense_maps.longest_edge_m",
         defaults=("ekf_reference.dense.conditions:Conditions.longest_edge_m",),
         absent="35 m, 60 m on scan landmarks alone",
         reason="a bound that keeps regions small, with little effect: without it and with it 95 % "
@@ -48,32 +41,27 @@ ROWS = (
     ),
     Documented(
         place="N 3.5, second condition, Fig. 3.10 (a)",
-        what="how it is tested that a region cannot flip over",
-        value="ellipses",
+        what="how it is tested that a region cannot flip over", value="ellipses",
         at="dense_maps.flip_test",
         reason="the thesis calls it very conservative; ours takes the correlations into account. "
         "It hardly matters at the stated noise: by ellipses 944 regions instead of 946 on "
         "scan-loop, 1,102 instead of 1,115 on occupancy-loop (the same drives)" + _BY,
     ),
     Documented(
-        place="N 3.9, Fig. 3.17",
-        what="sigmas of a landmark's uncertainty bound",
-        value=3.0,
+        place="N 3.9, Fig. 3.17", what="sigmas of a landmark's uncertainty bound", value=3.0,
         at="ekf_reference.dense.conditions:Conditions.flip_sigmas",
     ),
     Documented(
         place="N 3.9",
         what="returns wait for their region (3.7.3; the thesis' experiments leave it out)",
-        value=False,
-        at="dense_maps.delayed",
+        value=False, at="dense_maps.delayed",
         reason="without it 46 % of the returns of scan-loop are in no region instead of 16 %, 38 % "
         "instead of 13 % on occupancy-loop; those that wait are less accurate (95 % of all "
         "distances 0.68 m with it, 0.60 without, and 0.59 and 0.53; the same drives)" + _BY,
     ),
     Documented(
         place="N 3.9, 4.1.3 (3.10 has them on the car park)",
-        what="regions with a virtual corner (3.5.1) in the simulations",
-        value=False,
+        what="regions with a virtual corner (3.5.1) in the simulations", value=False,
         at="dense_maps.virtual_landmarks",
         when={"log.source": ("scan-loop", "scan-loop-fine", "scan-loop-3d", "occupancy-loop")},
         reason="without them 39 % of the returns of scan-loop are in no region instead of 16 %, "
@@ -81,21 +69,15 @@ ROWS = (
         "0.68, 0.58 instead of 0.59; the same drives)" + _BY,
     ),
     Documented(
-        place="N 4.1.1, eq. 4.4",
-        what="p_max, occupancy where a return comes from",
-        value=0.9,
-        named=True,
-        at="dense_maps.p_occupied",
+        place="N 4.1.1, eq. 4.4", what="p_max, occupancy where a return comes from", value=0.9,
+        named=True, at="dense_maps.p_occupied",
         also=("ekf_reference.dense.sensor_model:InverseSensorModel.p_occupied",),
         reason="with 0.9 one noisy return makes a cell occupied: 95 % of the distances 0.94 m "
         "instead of 0.68 on scan-loop, 0.77 instead of 0.59 on occupancy-loop (p_free 0.3; the "
         "same drives)" + _BY,
     ),
     Documented(
-        place="N 4.1.1, eq. 4.4",
-        what="p_min, occupancy before a return",
-        value=0.3,
-        named=True,
+        place="N 4.1.1, eq. 4.4", what="p_min, occupancy before a return", value=0.3, named=True,
         at="dense_maps.p_free",
         also=("ekf_reference.dense.sensor_model:InverseSensorModel.p_free",),
         reason="what stands is often looked past; measured with p_occupied 0.9: median of the "
@@ -103,15 +85,11 @@ ROWS = (
         "(the same drives)" + _BY,
     ),
     Documented(
-        place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.12",
-        what="occupancy of what nothing is known of",
-        value=0.5,
-        at="ekf_reference.dense.layers.grid_update:PRIOR",
+        place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.12", what="occupancy of what nothing is known of",
+        value=0.5, at="ekf_reference.dense.layers.grid_update:PRIOR",
     ),
     Documented(
-        place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.11",
-        what="bound of occupancy",
-        value=1.0,
+        place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.11", what="bound of occupancy", value=1.0,
         at="dense_maps.confidence",
         defaults=("ekf_reference.dense.layers.grid_update:GridUpdate.confidence",),
         reason="with a bound a map forgets what has changed; in a scene that stays it hardly "
@@ -120,64 +98,44 @@ ROWS = (
         "N4.4)",
     ),
     Documented(
-        place="N 4.1.3, Fig. 4.6",
-        what="size of cells",
-        value=0.2,
-        unit="m",
-        at="dense_maps.resolution_m",
-        when=OTHERS,
+        place="N 4.1.3, Fig. 4.6", what="size of cells", value=0.2, unit="m",
+        at="dense_maps.resolution_m", when=OTHERS,
         also=("ekf_reference.dense.layers.grid_update:GridUpdate.resolution_m",),
     ),
     Documented(
-        place="N 4.4, Fig. 4.15",
-        what="size of cells of the car park's occupancy grid",
-        value=0.4,
-        unit="m",
-        at="dense_maps.resolution_m",
-        when=CAR_PARK,
+        place="N 4.4, Fig. 4.15", what="size of cells of the car park's occupancy grid", value=0.4,
+        unit="m", at="dense_maps.resolution_m", when=CAR_PARK,
         reason="runs use section 4.1.3's 0.2 m everywhere, which shows finer shapes: 27,134 cells "
         "instead of 7,128, 556 of them occupied instead of 287 "
         "(slamcheck map acfr_car_park --layer occupancy)",
         also=(f"{_FIGURES}:CELL_M",),
     ),
     Documented(
-        place="N 4.1.3, Fig. 4.6",
-        what="size of cells in almost empty regions",
-        value=0.5,
-        unit="m",
-        at="ekf_reference.dense.layers.occupancy:Coarsening.resolution_m",
+        place="N 4.1.3, Fig. 4.6", what="size of cells in almost empty regions", value=0.5,
+        unit="m", at="ekf_reference.dense.layers.occupancy:Coarsening.resolution_m",
     ),
     Documented(
         place="N 4.1.3",
         what="cellsPercent: share of a region's cells that is empty in an almost empty one",
-        value=0.99,
-        at="ekf_reference.dense.layers.occupancy:Coarsening.share",
+        value=0.99, at="ekf_reference.dense.layers.occupancy:Coarsening.share",
     ),
     Documented(
-        place="N 4.1.3",
-        what="minProb: occupancy below which a cell is empty",
-        value=0.2,
+        place="N 4.1.3", what="minProb: occupancy below which a cell is empty", value=0.2,
         at="ekf_reference.dense.layers.occupancy:Coarsening.least",
     ),
     Documented(
         place="N 4.1.3, Fig. 4.3; 4.2.3",
-        what="occupancy above which cells and particles are drawn and counted",
-        value=0.8,
+        what="occupancy above which cells and particles are drawn and counted", value=0.8,
         at="comparisons.extensions.dense_maps.accuracy:OCCUPIED",
     ),
     Documented(
-        place="N 4.1.3, Fig. 4.5",
-        what="rounds after which one grid is shown",
+        place="N 4.1.3, Fig. 4.5", what="rounds after which one grid is shown",
         value=(1.0, 2.0, 3.0, 4.0, 5.0, 10.0),
         at="comparisons.experiments.reproduction.nieto_dense:ROUNDS",
     ),
     Documented(
-        place="N 4.2.3, 4.3.3",
-        what="d_min of particles and of Gaussians",
-        value=0.2,
-        unit="m",
-        at="dense_maps.d_min_m",
-        when=OTHERS,
+        place="N 4.2.3, 4.3.3", what="d_min of particles and of Gaussians", value=0.2, unit="m",
+        at="dense_maps.d_min_m", when=OTHERS,
         defaults=(
             "ekf_reference.dense.layers.particles:Particles.d_min_m",
             "ekf_reference.dense.layers.gaussians:Gaussians.d_min_m",
@@ -186,8 +144,7 @@ ROWS = (
     Documented(
         place="N 4.2.3, 4.3.3",
         what="particles and Gaussians that have come to lie on others are dropped: not subsampled",
-        value=False,
-        at="dense_maps.thinned",
+        value=False, at="dense_maps.thinned",
         defaults=(
             "ekf_reference.dense.layers.particles:Particles.thinned",
             "ekf_reference.dense.layers.gaussians:Gaussians.thinned",
@@ -198,27 +155,19 @@ ROWS = (
         "way (benchmarks/dense_maps.py --particles)",
     ),
     Documented(
-        place="N 4.2.3",
-        what="weight below which a particle is dropped: not subsampled",
-        value=0.0,
+        place="N 4.2.3", what="weight below which a particle is dropped: not subsampled", value=0.0,
         at="dense_maps.least_weight",
         reason="to bound their number: a tenth of all weigh less (slamcheck reproduce N4.10)",
     ),
     Documented(
-        place="N 6.5, Fig. 6.14",
-        what="d_min of the car park's Gaussians",
-        value=0.5,
-        unit="m",
-        at="dense_maps.d_min_m",
-        when=CAR_PARK,
+        place="N 6.5, Fig. 6.14", what="d_min of the car park's Gaussians", value=0.5, unit="m",
+        at="dense_maps.d_min_m", when=CAR_PARK,
         reason="runs use section 4.3.3's 0.2 m everywhere, which shows finer shapes: 1,458 "
         "Gaussians instead of 412 (slamcheck map acfr_car_park --layer sog)",
         also=(f"{_FIGURES}:COARSE_M",),
     ),
     Documented(
-        place="N 4.3.3, eq. 4.18",
-        what="k, of the widest Gaussian in d_min",
-        value=0.8,
+        place="N 4.3.3, eq. 4.18", what="k, of the widest Gaussian in d_min", value=0.8,
         at="ekf_reference.dense.layers.gaussians:Gaussians().widest",
     ),
-)
+)  # fmt: skip

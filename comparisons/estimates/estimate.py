@@ -77,8 +77,7 @@ class Estimate(Shown):
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        found: DataFrame = render("frame", self, table)
-        return found
+        return render("frame", self, table)
 
     @property
     def joint_mean(self) -> Array:

@@ -15,52 +15,32 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.trace.events import (
-    ADDITIVE,
-    Augment,
-    Blocks,
-    Directions,
-    Event,
-    Predict,
-    Prior,
-    Snapshot,
-    Update,
-)
+from comparisons.trace import events
 from comparisons.trace.reader import Trace
 
 _POSE, _POINT = 3, 2
 _ID = re.compile(r"(?:.*\D)?(\d{1,18})")
 COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
-        "time_s": (),
-        "departed": (_POSE,),
-        "arrived": (_POSE,),
-        **dict.fromkeys(("f", "q"), (_POSE, _POSE)),
+        "time_s": (), "departed": (_POSE,), "arrived": (_POSE,),
+        "f": (_POSE, _POSE), "q": (_POSE, _POSE),
     },
     "update": {
-        **dict.fromkeys(("step", "measurement", "landmark", "weight"), ()),
-        "pose": (_POSE,),
-        "point": (_POINT,),
-        "innovation": (_POINT,),
-        "jacobian_pose": (_POINT, _POSE),
-        "jacobian_landmark": (_POINT, _POINT),
+        "step": (), "measurement": (), "landmark": (), "weight": (),
+        "pose": (_POSE,), "point": (_POINT,), "innovation": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE), "jacobian_landmark": (_POINT, _POINT),
         "noise": (_POINT, _POINT),
     },
     "initialise": {
-        **dict.fromkeys(("step", "measurement", "landmark", "weight"), ()),
-        "pose": (_POSE,),
-        "point": (_POINT,),
-        "jacobian_pose": (_POINT, _POSE),
-        **dict.fromkeys(("jacobian_measurement", "noise"), (_POINT, _POINT)),
+        "step": (), "measurement": (), "landmark": (), "weight": (),
+        "pose": (_POSE,), "point": (_POINT,), "jacobian_pose": (_POINT, _POSE),
+        "jacobian_measurement": (_POINT, _POINT), "noise": (_POINT, _POINT),
     },
     "position": {
-        **dict.fromkeys(("step", "number", "weight"), ()),
-        "pose": (_POSE,),
-        "innovation": (_POINT,),
-        "jacobian_pose": (_POINT, _POSE),
-        "noise": (_POINT, _POINT),
+        "step": (), "number": (), "weight": (), "pose": (_POSE,), "innovation": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE), "noise": (_POINT, _POINT),
     },
-}
+}  # fmt: skip
 """By part and name, the shapes of the columns' rows."""
 
 
@@ -82,26 +62,26 @@ class _Reading:
 
     def __init__(self, trace: Trace) -> None:
         self.path, self.made = trace.path, 0
-        self.prior: Prior
+        self.prior: events.Prior
         self.rows: defaultdict[str, list[Any]] = defaultdict(list)
         self.ids: dict[str, int] = {}
 
-    def take(self, event: Event) -> None:
+    def take(self, event: events.Event) -> None:
         """Add an event."""
         match event:
-            case Prior():
+            case events.Prior():
                 self._prior(event)
-            case Predict():
+            case events.Predict():
                 self._predict(event)
-            case Augment():
+            case events.Augment():
                 self._augment(event)
-            case Update() if not event.used:
+            case events.Update() if not event.used:
                 pass
-            case Update() if event.blocks == self.prior.blocks:
+            case events.Update() if event.blocks == self.prior.blocks:
                 self._position(event)
-            case Update():
+            case events.Update():
                 self._update(event)
-            case Snapshot() | Directions():
+            case events.Snapshot() | events.Directions():
                 pass
             case _:
                 kind = type(event).__name__.lower()
@@ -119,12 +99,12 @@ class _Reading:
         point = self._sized(self.prior, "point", self.prior.point, _POSE)
         return {"prior_pose": point, "prior_covariance": self.prior.covariance, **found}
 
-    def _prior(self, event: Prior) -> None:
-        if event.dims != (_POSE,) or event.charts not in ((), (ADDITIVE,), ("se2",)):
+    def _prior(self, event: events.Prior) -> None:
+        if event.dims != (_POSE,) or event.charts not in ((), (events.ADDITIVE,), ("se2",)):
             self._refuse(event, "begins with another state than a pose of x, y and heading")
         self.prior = event
 
-    def _predict(self, event: Predict) -> None:
+    def _predict(self, event: events.Predict) -> None:
         if event.blocks != self.prior.blocks:
             self._refuse(event, "moves more than the pose; expected its block alone")
         if event.time_s is None:
@@ -139,7 +119,7 @@ class _Reading:
         )
         self.made += 1
 
-    def _augment(self, event: Augment) -> None:
+    def _augment(self, event: events.Augment) -> None:
         found = _ID.fullmatch(event.name)
         if found is None or len(event.jacobian) != _POINT:
             self._refuse(event, "begins a block that is no point whose name ends in its id")
@@ -159,7 +139,7 @@ class _Reading:
             noise=event.noise,
         )
 
-    def _position(self, event: Update) -> None:
+    def _position(self, event: events.Update) -> None:
         count = self._count(event)
         numbers = self._sized(event, "numbers", event.numbers, count)
         pose = self._sized(event, "point", event.point, _POSE)
@@ -177,7 +157,7 @@ class _Reading:
                 noise=noise[k],
             )
 
-    def _update(self, event: Update) -> None:
+    def _update(self, event: events.Update) -> None:
         blocks, count = event.blocks, self._count(event)
         if blocks[:1] != self.prior.blocks or not self.ids.keys() >= set(blocks[1:]):
             self._refuse(event, "is of other blocks than the pose, first, and landmarks")
@@ -202,7 +182,7 @@ class _Reading:
                 noise=noise[k],
             )
 
-    def _landmarks(self, event: Update, blocks: Blocks, count: int) -> list[int]:
+    def _landmarks(self, event: events.Update, blocks: events.Blocks, count: int) -> list[int]:
         """Which of the landmarks each measurement is of: the one that its rows have columns of."""
         others = len(blocks) - 1
         if others == 1:
@@ -215,7 +195,7 @@ class _Reading:
             self._refuse(event, "has a measurement that is not of one landmark")
         return list(range(count))
 
-    def _parts(self, event: Update, count: int) -> Array:
+    def _parts(self, event: events.Update, count: int) -> Array:
         """The noise of each measurement (count, 2, 2)."""
         if count == 1:
             return event.noise[None]
@@ -226,12 +206,12 @@ class _Reading:
             self._refuse(event, "has noise that is correlated between measurements")
         return own
 
-    def _count(self, event: Update) -> int:
+    def _count(self, event: events.Update) -> int:
         if len(event.residual) % _POINT:
             self._refuse(event, "has a residual that is not of two entries for each measurement")
         return len(event.residual) // _POINT
 
-    def _sized(self, event: Event, name: str, values: Array | None, size: int) -> Array:
+    def _sized(self, event: events.Event, name: str, values: Array | None, size: int) -> Array:
         """What `check` needs beside an event's matrices."""
         if values is None:
             self._refuse(event, f"has no {name}, which a comparison with a log needs")
@@ -243,5 +223,5 @@ class _Reading:
         for name, value in values.items():
             self.rows[f"{part}_{name}"].append(value)
 
-    def _refuse(self, event: Event, fault: str) -> NoReturn:
+    def _refuse(self, event: events.Event, fault: str) -> NoReturn:
         raise InputError(f"{self.path}, event {event.number}: {fault}")

@@ -166,16 +166,14 @@ class ExternalEstimate(Brief):
             whatever landmarks there are.
         """
         unknown = np.full((len(self.pose), 3, 3), np.nan)
-        ids, places = self.landmark_id, self.landmark
+        ids, places, joint = self.landmark_id, self.landmark, self.joint_covariance
         return Estimate(
             time_s=self.time_s,
             pose=self.pose,
             pose_covariance=unknown if self.pose_covariance is None else self.pose_covariance,
             landmark_id=np.zeros(0, dtype=np.int64) if ids is None else ids,
             landmark=np.zeros((0, 2)) if places is None else places,
-            joint_covariance=unknown[-1]
-            if self.joint_covariance is None
-            else self.joint_covariance,
+            joint_covariance=unknown[-1] if joint is None else joint,
             information=self.information or "filtered",
             labels=self.labels,
         )
@@ -197,16 +195,13 @@ class ExternalEstimate(Brief):
     @property
     def absent(self) -> list[str]:
         """What is missing, in words."""
-        return [
-            words
-            for value, words in (
-                (self.landmark, "landmarks"),
-                (self.pose_covariance, "pose covariances"),
-                (self.landmark_covariance, "landmark covariances"),
-                (self.joint_covariance, "joint covariance"),
-            )
-            if value is None
-        ]
+        named = {
+            "landmark": "landmarks",
+            "pose_covariance": "pose covariances",
+            "landmark_covariance": "landmark covariances",
+            "joint_covariance": "joint covariance",
+        }
+        return [words for name, words in named.items() if getattr(self, name) is None]
 
 
 def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +13,7 @@ from comparisons.archive import read_archive
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.logs.log_meta import first_fault
+from comparisons.logs.log_meta import first_fault, toml_text
 from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml, shorten
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
@@ -76,11 +75,8 @@ def write_estimate(estimate: Estimate, folder: str | Path) -> None:
         pose=estimate.pose_covariance,
         last_pose_and_landmarks=estimate.joint_covariance,
     )
-    lines = ["version = 1", f"information = {json.dumps(estimate.information)}", "", "[provenance]"]
-    lines += [
-        f"{json.dumps(k, ensure_ascii=False)} = {json.dumps(v, ensure_ascii=False)}"
-        for k, v in estimate.provenance.items()
-    ]
+    lines = ["version = 1", f"information = {toml_text(estimate.information)}", "", "[provenance]"]
+    lines += [f"{toml_text(k)} = {toml_text(v)}" for k, v in estimate.provenance.items()]
     (folder / "estimate.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

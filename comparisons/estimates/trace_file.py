@@ -116,6 +116,7 @@ def _checked(
     unsound = unsound or _unsound(found, rounding)
     _unwrap(found)
     landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
+    begun, updated = landmark_index["initialise"], landmark_index["update"]
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
         path=path,
@@ -128,13 +129,11 @@ def _checked(
             f=found["step_f"],
             q=found["step_q"],
             measurements={
-                POINT: _records(found, "update", landmark_index["update"], "jacobian_landmark"),
+                POINT: _records(found, "update", updated, "jacobian_landmark"),
                 POSE: none_of_poses,
             },
             initialisations={
-                POINT: _records(
-                    found, "initialise", landmark_index["initialise"], "jacobian_measurement"
-                ),
+                POINT: _records(found, "initialise", begun, "jacobian_measurement"),
                 POSE: none_of_poses,
             },
             positions=_records(found, "position", np.full(count, -1), None),
@@ -158,11 +157,10 @@ def _records(
     """Return the records of one part of the file; without landmarks where it names none."""
     noise = found[f"{part}_noise"]
     nothing, none = np.zeros(noise.shape[:2]), noise[:, :, :0]
+    number = "number" if jacobian_other is None else "measurement"
     return MeasurementRecords(
         step=found[f"{part}_step"].astype(np.intp),
-        number=found[f"{part}_{'number' if jacobian_other is None else 'measurement'}"].astype(
-            np.intp
-        ),
+        number=found[f"{part}_{number}"].astype(np.intp),
         landmark_index=landmark_index,
         pose=found[f"{part}_pose"],
         landmark=found.get(f"{part}_point", nothing[:, :0]),

@@ -33,10 +33,7 @@ TIMES = "times.txt"
 """Stands beside a KITTI file."""
 
 _CSV = ("time_s", *KINDS["poses"])
-_KITTI = (
-    *("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"),
-    *("r20", "r21", "r22", "z"),
-)
+_KITTI = (*("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"), *("r20", "r21", "r22", "z"))
 _EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 

@@ -108,60 +108,42 @@ def _only_seen(own: Any, columns: Index, *args: Array) -> Correction:
     return done
 
 
-FAULTS = (
-    Fault(
-        "P between a new landmark and the map is left zero",
-        after("augment", _without_map),
-        name="cross-covariance dropped at augmentation",
+FAULTS = {
+    "cross-covariance dropped at augmentation": Fault(
+        "P between a new landmark and the map is left zero", after("augment", _without_map)
     ),
-    Fault(
-        "P between a new landmark and the vehicle is left zero",
-        after("augment", _without_vehicle),
-        name="vehicle dropped at augmentation",
+    "vehicle dropped at augmentation": Fault(
+        "P between a new landmark and the vehicle is left zero", after("augment", _without_vehicle)
     ),
-    Fault(
+    "cross-covariance dropped at prediction": Fault(
         "the cross-covariance of vehicle and map is not multiplied by F",
         after("predict", _cross_as_before),
-        name="cross-covariance dropped at prediction",
     ),
-    Fault(
+    "F transposed": Fault(
         "F^T P F in the prediction",
         with_state(derived(KalmanState, predict=lambda own, x, f, q: own(x, f.T, q))),
-        name="F transposed",
     ),
-    Fault(
-        "the prediction writes the upper cross-covariance only",
-        after("predict", _lower_as_before),
-        name="asymmetric covariance",
+    "asymmetric covariance": Fault(
+        "the prediction writes the upper cross-covariance only", after("predict", _lower_as_before)
     ),
-    Fault(
-        "Joseph's form with (I - W H) on both sides",
-        after("update", _not_transposed),
-        name="gain not transposed",
+    "gain not transposed": Fault(
+        "Joseph's form with (I - W H) on both sides", after("update", _not_transposed)
     ),
-    Fault(
-        "the update leaves P between vehicle and map as it was",
-        after("update", _cross_as_before),
-        name="cross-covariance dropped at update",
+    "cross-covariance dropped at update": Fault(
+        "the update leaves P between vehicle and map as it was", after("update", _cross_as_before)
     ),
-    Fault(
+    "landmarks kept independent": Fault(
         "P between landmarks is set to zero after every update",
         after("update", _independent_landmarks),
-        name="landmarks kept independent",
     ),
-    Fault(
-        "the gain is applied to the vehicle and the landmarks in view",
-        _updating(_only_seen),
-        name="only seen landmarks updated",
+    "only seen landmarks updated": Fault(
+        "the gain is applied to the vehicle and the landmarks in view", _updating(_only_seen)
     ),
-    Fault(
-        "x - W nu in the update",
-        _updating(lambda own, columns, h, nu, r: own(columns, h, -nu, r)),
-        name="innovation subtracted",
+    "innovation subtracted": Fault(
+        "x - W nu in the update", _updating(lambda own, columns, h, nu, r: own(columns, h, -nu, r))
     ),
-    Fault(
+    "R left out of S": Fault(
         "S = H P H^T in the gain",
         _updating(lambda own, columns, h, nu, r: own(columns, h, nu, 1e-6 * r)),
-        name="R left out of S",
     ),
-)
+}

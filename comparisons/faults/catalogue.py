@@ -10,15 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.faults import algebra, data, models, noise
-from comparisons.faults.fault import (
-    Family,
-    Fault,
-    Feed,
-    moving,
-    observing,
-    remembering,
-    together,
-)
+from comparisons.faults.fault import Family, Fault, Feed, moving, observing, remembering, together
 from comparisons.logs.log import LandmarkMeasurements, Log
 from comparisons.logs.odometry import (
     OdometryNoise,
@@ -29,7 +21,11 @@ from comparisons.logs.odometry import (
 from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from comparisons.statistics import ROUNDING
 
-NAMED = (*algebra.FAULTS, *models.FAULTS, *noise.FAULTS, *data.FAULTS)
+NAMED = tuple(
+    fault._replace(name=name)
+    for module in (algebra, models, noise, data)
+    for name, fault in module.FAULTS.items()
+)
 """Faults with a short name each, planted in the filter."""
 _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
@@ -196,13 +192,14 @@ def _every_second_scan(seen: LandmarkMeasurements) -> LandmarkMeasurements:
     return seen.chosen(np.unique(seen.time_s, return_inverse=True)[1] % 2 == 0)
 
 
+def _rooted(name: str) -> Callable[[Any], Any]:
+    """The root of a sigma in its place."""
+    return lambda one: replace(one, **{name: np.sqrt(getattr(one, name))})
+
+
 _MEASUREMENTS: dict[str, Change] = {
-    "R of the range contains sigma, not its square": lambda s: replace(
-        s, sigma_range_m=np.sqrt(s.sigma_range_m)
-    ),
-    "R of the bearing contains sigma, not its square": lambda s: replace(
-        s, sigma_bearing_rad=np.sqrt(s.sigma_bearing_rad)
-    ),
+    "R of the range contains sigma, not its square": _rooted("sigma_range_m"),
+    "R of the bearing contains sigma, not its square": _rooted("sigma_bearing_rad"),
     "the sigmas of range and bearing are exchanged": lambda s: replace(
         s, sigma_range_m=s.sigma_bearing_rad, sigma_bearing_rad=s.sigma_range_m
     ),
@@ -212,12 +209,8 @@ _MEASUREMENTS: dict[str, Change] = {
 }
 _UNSTABLE = "the stabilisation noise is left out"
 _WHEELS: dict[str, Callable[[OdometryNoise], OdometryNoise]] = {
-    "Q of the speed contains sigma, not its square": lambda n: replace(
-        n, sigma_speed_mps=np.sqrt(n.sigma_speed_mps)
-    ),
-    "Q of the turn contains sigma, not its square": lambda n: replace(
-        n, sigma_turn=np.sqrt(n.sigma_turn)
-    ),
+    "Q of the speed contains sigma, not its square": _rooted("sigma_speed_mps"),
+    "Q of the turn contains sigma, not its square": _rooted("sigma_turn"),
     _UNSTABLE: lambda n: replace(n, variance_rate_position=0.0, variance_rate_heading=0.0),
 }
 

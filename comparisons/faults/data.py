@@ -137,60 +137,44 @@ def waiting_for_control() -> Plant:
     return stepping(predict=predict)
 
 
-FAULTS = (
-    Fault(
-        "a step lasts as long as the one before it",
-        remembering(_previous_interval),
-        name="previous interval",
+FAULTS = {
+    "previous interval": Fault(
+        "a step lasts as long as the one before it", remembering(_previous_interval)
     ),
-    Fault(
+    "interval ignored": Fault(
         "every step lasts 25 ms, whatever the stamps say",
         moving(lambda own, pose, control, duration_s: own(pose, control, 0.025)),
-        name="interval ignored",
     ),
-    Fault(
-        "every control moves the vehicle two times",
-        moving(_applied_twice),
-        name="control applied twice",
+    "control applied twice": Fault(
+        "every control moves the vehicle two times", moving(_applied_twice)
     ),
-    Fault(
+    "control applied half": Fault(
         "every control acts for half of its interval",
         moving(lambda own, pose, control, duration_s: own(pose, control, 0.5 * duration_s)),
-        name="control applied half",
     ),
-    Fault(
+    "measurement one scan late": Fault(
         "the measurements are fused one scan late, at the time of the next",
         remembering(_one_scan_late),
-        name="measurement one scan late",
     ),
-    Fault(
-        "the measurements are fused one prediction late",
-        remembering(_one_step_late),
-        name="measurement one step late",
+    "measurement one step late": Fault(
+        "the measurements are fused one prediction late", remembering(_one_step_late)
     ),
-    Fault(
-        "every absolute position is used two times",
-        stepping(fix_position=_fixed_twice),
-        name="position fused twice",
+    "position fused twice": Fault(
+        "every absolute position is used two times", stepping(fix_position=_fixed_twice)
     ),
-    Fault(
-        "every measurement is used two times",
-        stepping(observe=_seen_twice),
-        name="measurement fused twice",
+    "measurement fused twice": Fault(
+        "every measurement is used two times", stepping(observe=_seen_twice)
     ),
-    Fault(
+    "landmark initialised again": Fault(
         "a landmark that returns into view becomes another one",
         remembering(lambda: _associating(_InitialisedAgain())),
-        name="landmark initialised again",
     ),
-    Fault(
+    "labels exchanged": Fault(
         "two labels of every tenth scan are exchanged",
         remembering(lambda: _associating(_SwappedLabels())),
-        name="labels exchanged",
     ),
-    Fault(
+    "gate of sigmas": Fault(
         f"the gate compares squared distances with {_GATE_SIGMA:g} sigma",
         remembering(lambda: _associating(KnownAssociation(gate=_GATE_SIGMA))),
-        name="gate of sigmas",
     ),
-)
+}

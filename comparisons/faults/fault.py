@@ -15,7 +15,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.logs.log import Log
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT, MeasurementModel
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.motion import MotionModel, MotionStep
@@ -98,15 +98,6 @@ def with_state(state: Callable[[Array, Array], KalmanState]) -> Plant:
     return plant
 
 
-def with_observation(observation: Callable[[], MeasurementModel]) -> Plant:
-    """Another observation model, new for every filter."""
-
-    def plant(ekf: Ekf) -> None:
-        ekf.models[POINT] = observation()
-
-    return plant
-
-
 def with_motion(motion: Callable[[MotionModel], MotionModel]) -> Plant:
     """Another motion model, made of the filter's own."""
 
@@ -126,8 +117,13 @@ def stepping(**methods: Method) -> Plant:
 
 
 def observing(**methods: Method) -> Plant:
-    """Other methods of the observation model."""
-    return with_observation(derived(RangeBearing, **methods))
+    """Other methods of the observation model, which is new for every filter."""
+    model = derived(RangeBearing, **methods)
+
+    def plant(ekf: Ekf) -> None:
+        ekf.models[POINT] = model()
+
+    return plant
 
 
 @dataclass

@@ -183,79 +183,56 @@ def _no_lever(ekf: Ekf) -> None:
     ekf.fixes = replace(ekf.fixes, model=PositionModel())
 
 
-FAULTS = (
-    Fault(
+FAULTS = {
+    "bearing Jacobian as printed": Fault(
         "Nieto's eq. 2.42 with the bearing row's position terms as printed",
         h_times(-1.0, pose=np.s_[:, 1, :2], landmark=_BEARING_ROW),
-        name="bearing Jacobian as printed",
     ),
-    Fault(
+    "no heading column": Fault(
         "the measurement's Jacobian has zeros where the heading belongs",
         h_times(0.0, pose=_HEADING_COLUMN),
-        name="no heading column",
     ),
-    Fault(
+    "range only": Fault(
         "the bearing's row of the Jacobian is zero",
         h_times(0.0, pose=_BEARING_ROW, landmark=_BEARING_ROW),
-        name="range only",
     ),
-    Fault(
+    "innovation not wrapped": Fault(
         "the innovation z - h(x) is not wrapped at the cut of the bearing",
         observing(innovation=lambda own, z, predicted: z - predicted),
-        name="innovation not wrapped",
     ),
-    Fault(
-        "the bearings are counted clockwise, positive to the right",
-        observing(measured=_clockwise),
-        name="bearing clockwise",
+    "bearing clockwise": Fault(
+        "the bearings are counted clockwise, positive to the right", observing(measured=_clockwise)
     ),
-    Fault(
-        "H is linearised at the scan before", remembering(_stale_jacobian), name="stale Jacobian"
-    ),
-    Fault(
+    "stale Jacobian": Fault("H is linearised at the scan before", remembering(_stale_jacobian)),
+    "R not rotated by G_z": Fault(
         "a new landmark gets R of range and bearing as its own, without G_z",
         observing(invert=_unrotated),
-        name="R not rotated by G_z",
     ),
-    Fault(
-        "G_x has zeros where the heading belongs", gx_times(0.0), name="no heading at augmentation"
+    "no heading at augmentation": Fault("G_x has zeros where the heading belongs", gx_times(0.0)),
+    "landmark from the old pose": Fault(
+        "a landmark is initialised at the pose before the update", remembering(_from_old_pose)
     ),
-    Fault(
-        "a landmark is initialised at the pose before the update",
-        remembering(_from_old_pose),
-        name="landmark from the old pose",
+    "wrong quadrant": Fault(
+        "a new landmark's direction by atan where atan2 belongs", observing(invert=_wrong_quadrant)
     ),
-    Fault(
-        "a new landmark's direction by atan where atan2 belongs",
-        observing(invert=_wrong_quadrant),
-        name="wrong quadrant",
-    ),
-    Fault("steering counted positive to the right", moving(_steering_sign), name="steering sign"),
-    Fault(
+    "steering sign": Fault("steering counted positive to the right", moving(_steering_sign)),
+    "wheelbase wrong": Fault(
         "a wheelbase longer by a tenth",
         _vehicle(lambda car: replace(car, wheelbase_m=1.1 * car.wheelbase_m), "wheelbase"),
-        name="wheelbase wrong",
     ),
-    Fault(
+    "sensor's place left out": Fault(
         "the sensor is taken to be at the middle of the rear axle",
         _vehicle(lambda car: replace(car, sensor_forward_m=0.0, sensor_left_m=0.0), "sensor"),
-        name="sensor's place left out",
     ),
-    Fault("P is predicted without the motion's Jacobian", moving(_identity), name="F the identity"),
-    Fault(
-        "the Jacobian by the control is not multiplied by the interval",
-        moving(_without_interval),
-        name="B without dt",
+    "F the identity": Fault("P is predicted without the motion's Jacobian", moving(_identity)),
+    "B without dt": Fault(
+        "the Jacobian by the control is not multiplied by the interval", moving(_without_interval)
     ),
-    Fault(f"every step turns {_DRIFT_RADPS} rad/s too far", moving(_drift), name="heading drift"),
-    Fault(
-        "the motion's Jacobian by heading has the opposite sign",
-        moving(_opposite_column),
-        name="F's position terms' sign",
+    "heading drift": Fault(f"every step turns {_DRIFT_RADPS} rad/s too far", moving(_drift)),
+    "F's position terms' sign": Fault(
+        "the motion's Jacobian by heading has the opposite sign", moving(_opposite_column)
     ),
-    Fault(
-        "positions are taken for those of the vehicle, not of its antenna",
-        _no_lever,
-        name="lever arm left out",
+    "lever arm left out": Fault(
+        "positions are taken for those of the vehicle, not of its antenna", _no_lever
     ),
-)
+}

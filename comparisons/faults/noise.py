@@ -36,21 +36,15 @@ def new_landmarks(updates: float, new: float) -> Plant:
     return observing(measured=lambda own, z, sigma: own(z, np.sqrt(updates) * sigma), invert=invert)
 
 
-FAULTS = (
-    Fault("R holds sigma^4", _sigma(lambda sigma: sigma**2), name="sigma squared twice"),
-    Fault("R holds sigma", _sigma(np.sqrt), name="sigma for variance in R"),
-    Fault("R holds 2 sigma^2", observing(measured=_twice), name="twice the variance in R"),
-    Fault(
-        "the bearing's sigma is in degrees",
-        _sigma(lambda sigma: sigma * (1.0, np.degrees(1.0))),
-        name="degrees for radians in R",
+FAULTS = {
+    "sigma squared twice": Fault("R holds sigma^4", _sigma(lambda sigma: sigma**2)),
+    "sigma for variance in R": Fault("R holds sigma", _sigma(np.sqrt)),
+    "twice the variance in R": Fault("R holds 2 sigma^2", observing(measured=_twice)),
+    "degrees for radians in R": Fault(
+        "the bearing's sigma is in degrees", _sigma(lambda sigma: sigma * (1.0, np.degrees(1.0)))
     ),
-    Fault(
-        "the control's covariance holds sigma", _control(np.sqrt), name="sigma for variance in Q"
+    "sigma for variance in Q": Fault("the control's covariance holds sigma", _control(np.sqrt)),
+    "twice the variance in Q": Fault(
+        "the control's covariance is doubled", _control(lambda covariance: 2.0 * covariance)
     ),
-    Fault(
-        "the control's covariance is doubled",
-        _control(lambda covariance: 2.0 * covariance),
-        name="twice the variance in Q",
-    ),
-)
+}

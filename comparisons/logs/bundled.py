@@ -24,7 +24,6 @@ class SimulationChoices:
     noise_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}, expected 0 or more")
         if not 1 <= self.loops <= 1000:
@@ -66,7 +65,9 @@ def _waypoint_run(choices: SimulationChoices) -> Log:
     return simulate(np.random.default_rng(choices.seed), run)
 
 
-def _scans(experiment: str, **options: bool) -> Callable[[SimulationChoices], Log]:
+def _scans(experiment: str, what: str, **options: bool) -> NamedLog:
+    """A log of an experiment of scan_drive."""
+
     def simulated(choices: SimulationChoices) -> Log:
         from comparisons.logs.simulate import scan_drive
 
@@ -74,7 +75,7 @@ def _scans(experiment: str, **options: bool) -> Callable[[SimulationChoices], Lo
         rng = np.random.default_rng(choices.seed)
         return scan_drive.simulate(rng, make(choices.loops, choices.noise_scale, **options))
 
-    return simulated
+    return NamedLog(what, simulated)
 
 
 NAMED: dict[str, NamedLog] = {
@@ -85,45 +86,24 @@ NAMED: dict[str, NamedLog] = {
         "bundled with gtsam",
     ),
     "simulated-loop": NamedLog(
-        "255 m loop among 60 landmarks (Nieto 2005, section 2.9)",
-        _simulated_loop,
+        "255 m loop among 60 landmarks (Nieto 2005, section 2.9)", _simulated_loop
     ),
     "waypoint-run": NamedLog(
-        "waypoints and back (Misono 2007, section 4.1)",
-        _waypoint_run,
-        ("--seed", "--noise-scale"),
+        "waypoints and back (Misono 2007, section 4.1)", _waypoint_run, ("--seed", "--noise-scale")
     ),
-    "scan-loop": NamedLog(
-        "laser scans, objects and landmarks (Nieto 2005, Fig. 3.17)",
-        _scans("dense_slam"),
+    "scan-loop": _scans("dense_slam", "laser scans, objects and landmarks (Nieto 2005, Fig. 3.17)"),
+    "scan-loop-fine": _scans("dense_slam_fine", "scan-loop with the noise of a SICK laser"),
+    "scan-loop-3d": _scans("dense_slam_in_space", "scan-loop with a 3D scanner of 16 rings"),
+    "occupancy-loop": _scans("occupancy", "laser scans for occupancy maps (Nieto 2005, Fig. 4.2)"),
+    "dynamic-lanes": _scans(
+        "dynamic_lanes", "static scanner, traffic (Nieto 2005, Fig. 6.9)", carried=True
     ),
-    "scan-loop-fine": NamedLog(
-        "scan-loop with the noise of a SICK laser",
-        _scans("dense_slam_fine"),
+    "dynamic-places": _scans(
+        "dynamic_places", "objects added, removed between loops (Nieto 2005, Fig. 6.10)"
     ),
-    "scan-loop-3d": NamedLog(
-        "scan-loop with a 3D scanner of 16 rings",
-        _scans("dense_slam_in_space"),
-    ),
-    "occupancy-loop": NamedLog(
-        "laser scans for occupancy maps (Nieto 2005, Fig. 4.2)",
-        _scans("occupancy"),
-    ),
-    "dynamic-lanes": NamedLog(
-        "static scanner, traffic (Nieto 2005, Fig. 6.9)",
-        _scans("dynamic_lanes", carried=True),
-    ),
-    "dynamic-places": NamedLog(
-        "objects added, removed between loops (Nieto 2005, Fig. 6.10)",
-        _scans("dynamic_places"),
-    ),
-    "scan-slam": NamedLog(
-        "laser scans without point landmarks (Nieto 2005, Fig. 5.8)",
-        _scans("scan_slam"),
-    ),
-    "scan-slam-maps": NamedLog(
-        "scan-slam in half the area (Nieto 2005, Fig. 6.7)",
-        _scans("scan_slam_with_maps"),
+    "scan-slam": _scans("scan_slam", "laser scans without point landmarks (Nieto 2005, Fig. 5.8)"),
+    "scan-slam-maps": _scans(
+        "scan_slam_with_maps", "scan-slam in half the area (Nieto 2005, Fig. 6.7)"
     ),
 }
 
@@ -142,14 +122,6 @@ def exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):
         return False
-
-
-def _nearest_name(typed: str) -> str:
-    """Return the question whether a bundled log was meant, empty where none has such a name."""
-    from difflib import get_close_matches
-
-    close = get_close_matches(typed, NAMED, n=1, cutoff=0.7)
-    return f"; did you mean {close[0]}?" if close else ""
 
 
 def open_log(
@@ -172,7 +144,10 @@ def open_log(
         return NAMED[name].open(choices)
     path = Path(name)
     if not exists(path):
-        near = _nearest_name(path.name)
+        from difflib import get_close_matches
+
+        close = get_close_matches(path.name, NAMED, n=1, cutoff=0.7)
+        near = f"; did you mean {close[0]}?" if close else ""
         raise InputError(
             f"{shorten(name, 200)}: no such file or folder{near} "
             "(slamcheck logs lists bundled names)"

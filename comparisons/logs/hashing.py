@@ -27,17 +27,10 @@ def log_hash(log: Log) -> str:
     Equal on all processors: what they round otherwise does not count.
     """
     digest = hashlib.sha256()
-    records: tuple[object, ...] = (
-        log.prior,
-        log.odometry,
-        log.measurements,
-        log.positions,
-        log.known_landmarks,
-        log.known_measurements,
-    )
-    for record in records + tuple(
-        s for s in (log.scans, log.clouds, log.loop_closures) if s is not None
-    ):
+    records: list[object] = [log.prior, log.odometry, log.measurements, log.positions]
+    records += [log.known_landmarks, log.known_measurements]
+    records += [one for one in (log.scans, log.clouds, log.loop_closures) if one is not None]
+    for record in records:
         if record is None:
             digest.update(b"absent")
             continue

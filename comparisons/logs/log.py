@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
@@ -22,12 +22,12 @@ from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
     Stream,
-    above_zero,
     check,
     distinct,
     frozen,
     increasing,
     positive_definite,
+    refuse,
     standard_deviation,
     within,
 )
@@ -67,7 +67,6 @@ class LandmarkMeasurements(Stream, Brief):
     intensity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         for name in ("diameter_m", "intensity"):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
@@ -75,17 +74,36 @@ class LandmarkMeasurements(Stream, Brief):
             raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
         check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
         increasing("measurements", self.time_s, equal=True)
-        above_zero("measurements", "range_m", self.range_m)
+        refuse("measurements", self.range_m <= 0, "range_m", self.range_m, "above 0")
         for name in ("sigma_range_m", "sigma_bearing_rad"):
             standard_deviation("measurements", name, getattr(self, name))
         within("measurements", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
-        bad = np.flatnonzero(self.landmark < NO_LANDMARK)
-        if len(bad):
-            raise RecordError(
-                "measurements",
-                int(bad[0]),
-                f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
-            )
+        unknown, expected = self.landmark < NO_LANDMARK, f"an id from 0 or {NO_LANDMARK}"
+        refuse("measurements", unknown, "landmark", self.landmark, expected)
+
+    @classmethod
+    def of(
+        cls,
+        time_s: Array,
+        z: Array,
+        sigma: ArrayLike,
+        landmark: ArrayLike = NO_LANDMARK,
+        **more: Any,
+    ) -> LandmarkMeasurements:
+        """Return measurements z (M, 2), range and bearing, with sigmas (M, 2), or (2,) of all.
+
+        landmark: (M,) ids, or one of all. more: the other fields.
+        """
+        sigma_range_m, sigma_bearing_rad = np.broadcast_to(np.asarray(sigma, float), z.shape).T
+        return cls(
+            time_s=time_s,
+            range_m=z[:, 0],
+            bearing_rad=z[:, 1],
+            sigma_range_m=sigma_range_m,
+            sigma_bearing_rad=sigma_bearing_rad,
+            landmark=np.broadcast_to(landmark, len(z)),
+            **more,
+        )
 
     @property
     def labelled(self) -> bool:
@@ -113,7 +131,6 @@ class Positions(Stream, Brief):
     antenna_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         antenna = tuple(float(value) for value in self.antenna_m)
         if len(antenna) != 2 or not np.isfinite(antenna).all():
             raise InputError(f"positions: antenna_m is {self.antenna_m}, expected two numbers")
@@ -141,7 +158,6 @@ class LoopClosures(Stream):
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the table."""
         check(self, "loop closures", rows="from_s", displacement=(3,), covariance=(3, 3))
         positive_definite("loop closures", self.covariance)
         same = np.flatnonzero(self.from_s == self.to_s)
@@ -165,7 +181,6 @@ class Landmarks:
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the table."""
         check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
         positive_definite("landmarks", self.covariance, singular=True)
         distinct("landmarks", self.id)
@@ -173,8 +188,7 @@ class Landmarks:
     def places_of(self, ids: Ids) -> Array:
         """(K, 2) positions of landmarks by their ids (K,), all of which are in the map."""
         order = np.argsort(self.id)
-        places: Array = self.position_m[order[np.searchsorted(self.id, ids, sorter=order)]]
-        return places
+        return self.position_m[order[np.searchsorted(self.id, ids, sorter=order)]]
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,7 +199,6 @@ class Poses(Brief):
     pose: Array
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(self, "poses", rows="time_s", pose=(3,))
         increasing("poses", self.time_s)
 
@@ -203,7 +216,6 @@ class Surfaces:
     segment: Array
 
     def __post_init__(self) -> None:
-        """Check the table."""
         check(self, "surfaces", rows="segment", segment=(4,))
 
 
@@ -228,7 +240,6 @@ class Prior(Brief):
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         object.__setattr__(self, "time_s", float(self.time_s))
         if not abs(self.time_s) <= LARGEST:
             raise InputError(f"prior: time_s is {self.time_s}, expected at most {LARGEST:g}")
@@ -381,8 +392,7 @@ class Log(Shown):
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        found: DataFrame = render("frame", self, table)
-        return found
+        return render("frame", self, table)
 
     def _check_loop_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""
@@ -409,11 +419,10 @@ class Log(Shown):
     @property
     def end_s(self) -> float:
         """Time of the last odometry or measurement, or of the last scan where there are neither."""
-        streams: tuple[Odometry | LandmarkMeasurements | Scans | Clouds | None, ...]
-        streams = (self.odometry, self.measurements)
-        if not any(len(s.time_s) for s in streams if s is not None):
-            streams = (self.scans, self.clouds)
-        return max(float(s.time_s[-1]) for s in streams if s is not None and len(s.time_s))
+        driven = [self.odometry.time_s, self.measurements.time_s]
+        scanned = [s.time_s for s in (self.scans, self.clouds) if s is not None]
+        times = driven if any(map(len, driven)) else scanned
+        return max(float(time_s[-1]) for time_s in times if len(time_s))
 
     @property
     def labels(self) -> dict[int, str]:

@@ -182,26 +182,20 @@ def write_log_folder(
         if log.known_measurements is not None:
             _write_measurements(work / "known_measurements.csv", log.known_measurements)
         if (p := log.positions) is not None:
-            upper = upper_triangles(p.covariance)
-            _write_csv(work / "positions.csv", _POSITIONS, p.time_s, p.position_m, upper)
+            _write_csv(work / "positions.csv", _POSITIONS, p.time_s, p.position_m, p.covariance)
         if (c := log.loop_closures) is not None:
-            upper = upper_triangles(c.covariance)
-            _write_csv(work / "closures.csv", _CLOSURES, c.from_s, c.to_s, c.displacement, upper)
-        for name, table in (
-            ("known_landmarks", log.known_landmarks),
-            ("truth_landmarks", log.truth.landmarks),
-        ):
-            if table is not None:
-                upper = upper_triangles(table.covariance)
-                _write_csv(work / f"{name}.csv", _LANDMARKS, table.id, table.position_m, upper)
-        if log.truth.poses is not None:
-            poses = log.truth.poses
-            _write_csv(work / "truth_poses.csv", _POSES, poses.time_s, poses.pose)
+            parts = c.from_s, c.to_s, c.displacement, c.covariance
+            _write_csv(work / "closures.csv", _CLOSURES, *parts)
+        maps = {"known_landmarks": log.known_landmarks, "truth_landmarks": log.truth.landmarks}
+        for name, m in maps.items():
+            if m is not None:
+                _write_csv(work / f"{name}.csv", _LANDMARKS, m.id, m.position_m, m.covariance)
+        if (t := log.truth.poses) is not None:
+            _write_csv(work / "truth_poses.csv", _POSES, t.time_s, t.pose)
         if log.truth.surfaces is not None:
             _write_csv(work / "truth_surfaces.csv", _SURFACES, log.truth.surfaces.segment)
         if log.scans is not None:
-            s = log.scans
-            scans: dict[str, Array] = {name: getattr(s, name) for name in _SCANS}
+            scans: dict[str, Array] = {name: getattr(log.scans, name) for name in _SCANS}
             np.savez_compressed(work / "scans.npz", allow_pickle=False, **scans)
         if log.clouds is not None:
             np.savez_compressed(work / "clouds.npz", **vars(log.clouds))
@@ -226,8 +220,8 @@ def _read_odometry(path: Path, meta: LogModel, start_s: int) -> Odometry:
 
 def _write_odometry(path: Path, odometry: Odometry) -> None:
     if isinstance(odometry, RelativePoses):
-        upper = upper_triangles(odometry.covariance)
-        _write_csv(path, _RELATIVE, odometry.time_s, odometry.displacement, upper)
+        parts = odometry.time_s, odometry.displacement, odometry.covariance
+        _write_csv(path, _RELATIVE, *parts)
     else:
         kind = "steering" if isinstance(odometry, SteeringOdometry) else "velocity"
         _write_csv(path, _ODOMETRY[kind], odometry.time_s, *odometry.controls)
@@ -257,17 +251,11 @@ def _landmarks(table: Table) -> Landmarks:
 def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel) -> Scans | None:
     if not path.exists():
         return None
-    time_s, angle_rad, range_m, intensity = read_archive(path, _SCANS)
+    found: dict[str, Any] = dict(zip(_SCANS, read_archive(path, _SCANS), strict=True))
+    found["time_s"] = rest(found["time_s"])
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
     with naming(path, RecordError):
-        return Scans(
-            time_s=rest(time_s),
-            angle_rad=angle_rad,
-            range_m=range_m,
-            intensity=intensity,
-            mount=mount,
-            beam_s=settings.beam_s,
-        )
+        return Scans(**found, mount=mount, beam_s=settings.beam_s)
 
 
 def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
@@ -279,9 +267,9 @@ def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
 
 
 def _write_csv(path: Path, columns: tuple[str, ...], *parts: Array | np.ndarray) -> None:
-    lists = [
-        column.tolist() for part in parts for column in (part.T if part.ndim == 2 else part[None])
-    ]
+    """Write columns (N,), tables (N, d), and the upper triangles of covariances (N, d, d)."""
+    flat = [upper_triangles(part) if part.ndim == 3 else part for part in parts]
+    lists = [column.tolist() for part in flat for column in np.atleast_2d(part.T)]
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(columns) + "\n")
         file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*lists, strict=True))

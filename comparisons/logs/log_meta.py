@@ -128,8 +128,8 @@ def meta_text(log: Log, remarks: Mapping[str, str] | None = None) -> str:
     prior, odometry = log.prior, log.odometry
     lines = [
         "version = 1",
-        f"name = {_text(log.name)}",
-        f"source = {_text(log.format)}",
+        f"name = {toml_text(log.name)}",
+        f"source = {toml_text(log.format)}",
         'units = "SI, radians; bearings counter-clockwise from straight ahead"',
         "",
         "[prior]",
@@ -164,10 +164,10 @@ def meta_text(log: Log, remarks: Mapping[str, str] | None = None) -> str:
             f"{line}  # {printable(words)}" if line.startswith(f"{key} = ") else line
             for line in lines
         ]
-    lines += [f"{_text(k)} = {_text(v)}" for k, v in log.provenance.items()]
+    lines += [f"{toml_text(k)} = {toml_text(v)}" for k, v in log.provenance.items()]
     return "\n".join(lines) + "\n"
 
 
-def _text(value: str) -> str:
-    """A TOML string: JSON's spelling, which TOML shares for printable text."""
+def toml_text(value: str) -> str:
+    """Return a TOML string: JSON's spelling, which TOML shares for printable text."""
     return json.dumps(value, ensure_ascii=False)

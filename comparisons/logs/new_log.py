@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST, VARIANCES
+from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import RelativePoses, wheel_samples
@@ -29,16 +29,7 @@ from comparisons.logs.stamps import since
 from graphslam.increments import Samples, dead_reckoned
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
-_MEASUREMENTS = (
-    "time_s",
-    "range_m",
-    "bearing_rad",
-    "landmark",
-    "sigma_range_m",
-    "sigma_bearing_rad",
-    "diameter_m",
-    "intensity",
-)
+_MEASUREMENTS = (*MEASUREMENTS[:3], "landmark", *MEASUREMENTS[3:], *GAPS)
 _PLACE = ("time_s", "x_m", "y_m")
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)
@@ -116,15 +107,9 @@ def build(files: UserFiles) -> Found:
         if name == "sigma_m":
             why = "the file of --positions gives its own sigmas, or there is none"
         raise InputError(f"{OPTIONS[name]}: {why}")
+    more: dict[str, Any] = {"positions": positions, "truth": truth, "truth_landmarks": marks}
     try:
-        log = Log.from_arrays(
-            odometry,
-            measurements,
-            positions=positions,
-            truth=truth,
-            truth_landmarks=marks,
-            name=files.name,
-        )
+        log = Log.from_arrays(odometry, measurements, **more, name=files.name)
     except RecordError as error:
         raise reading.located(error) from None
     if files.prior_pose is not None:
@@ -178,10 +163,9 @@ class _Reading:
             self._check_angle(table, name)
         times = table.columns["time_s"]
         if self.kind != "relative-poses":  # a wheel sample holds until the next
-            held = (
-                0.0 if self.kind == "poses" or len(times) < 2 else np.median(np.abs(np.diff(times)))
-            )
-            self.span_s = (times.min(), times.max() + held)
+            holds = self.kind != "poses" and len(times) > 1
+            held_s = np.median(np.abs(np.diff(times))) if holds else 0.0
+            self.span_s = (times.min(), times.max() + held_s)
         stated: dict[str, Any] = {}
         if self.kind in ("velocity", "steering"):
             wheelbase = ("wheelbase_m",) if self.kind == "steering" else ()
@@ -292,19 +276,17 @@ class _Reading:
 
     def check_instants(self, log: Log) -> None:
         """Measurements must be at the times of single motions, for nothing is between."""
-        if self.kind == "relative-poses":
-            times = (log.prior.time_s, *log.odometry.time_s.tolist())
-            stray = np.flatnonzero(~np.isin(log.measurements.time_s, times))
-            if len(stray):
-                row = int(stray[0])
-                raise self.located(
-                    RecordError(
-                        "measurements",
-                        row,
-                        f"time {log.measurements.time_s[row]} s is not the end of a motion, "
-                        f"expected a time at which a motion of {self.files.odometry} ends",
-                    )
-                )
+        if self.kind != "relative-poses":
+            return
+        times, seen_s = (log.prior.time_s, *log.odometry.time_s.tolist()), log.measurements.time_s
+        stray = np.flatnonzero(~np.isin(seen_s, times))
+        if len(stray):
+            row = int(stray[0])
+            fault = (
+                f"time {seen_s[row]} s is not the end of a motion, expected a time at which a "
+                f"motion of {self.files.odometry} ends"
+            )
+            raise self.located(RecordError("measurements", row, fault))
 
     def _read(self, stream: str, path: Path, wanted: tuple[str, ...]) -> PlainTable:
         units = units_of(self.files.units, stream)
@@ -366,11 +348,11 @@ class _Reading:
         if lacking:
             options = " and ".join(OPTIONS[name] for name in lacking)
             columns = " and ".join(name for name in lacking if name in NAMES)
-            is_missing = "is missing, expected a number"
-            if len(lacking) > 1:
-                is_missing = "are missing, expected numbers"
+            fault = (
+                "are missing, expected numbers" if lacking[1:] else "is missing, expected a number"
+            )
             column = f" or a column {columns}" if columns else ""
-            raise InputError(f"{options} {is_missing}{column}; {SEE}")
+            raise InputError(f"{options} {fault}{column}; {SEE}")
         return {name: self._take(name) for name in names}
 
     def _take(self, name: str) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import Stream, check, increasing, positive_definite, within
+from comparisons.logs.validation import Stream, check, increasing, positive_definite, refuse, within
 from comparisons.shown import Brief
 from graphslam import increments
 
@@ -30,7 +30,6 @@ class Ackermann:
     sensor_left_m: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for f in fields(self):
             value = getattr(self, f.name)
             object.__setattr__(self, f.name, float(value))
@@ -56,7 +55,6 @@ class OdometryNoise:
     variance_rate_heading: float = 1e-8
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for f in fields(self):
             value = getattr(self, f.name)
             object.__setattr__(self, f.name, float(value))
@@ -82,19 +80,12 @@ class SteeringOdometry(Stream, Brief):
         return self.speed_mps, self.steering_rad
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(self, "steering odometry", rows="time_s")
         increasing("steering odometry", self.time_s, equal=True)
         within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
         slip = np.tan(self.steering_rad) * self.vehicle.encoder_offset_m / self.vehicle.wheelbase_m
-        bad = np.flatnonzero(slip > 0.95)
-        if len(bad):
-            raise RecordError(
-                "steering odometry",
-                int(bad[0]),
-                f"steering_rad is {self.steering_rad[bad[0]]}, expected a smaller angle (it turns "
-                "the vehicle about the wheel with the encoder)",
-            )
+        smaller = "a smaller angle (it turns the vehicle about the wheel with the encoder)"
+        refuse("steering odometry", slip > 0.95, "steering_rad", self.steering_rad, smaller)
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,7 +103,6 @@ class VelocityOdometry(Stream, Brief):
         return self.speed_mps, self.yaw_rate_radps
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         check(self, "velocity odometry", rows="time_s")
         increasing("velocity odometry", self.time_s, equal=True)
 
@@ -131,15 +121,8 @@ class RelativePoses(Stream, Brief):
     covariance: Array
 
     def __post_init__(self) -> None:
-        """Check the stream."""
-        check(
-            self,
-            "relative poses",
-            rows="time_s",
-            gaps=("covariance",),
-            displacement=(3,),
-            covariance=(3, 3),
-        )
+        shapes = {"displacement": (3,), "covariance": (3, 3)}
+        check(self, "relative poses", rows="time_s", gaps=("covariance",), **shapes)
         increasing("relative poses", self.time_s)
         unknown = np.asarray(np.isnan(self.covariance))
         missing = np.asarray(unknown.all(axis=(1, 2)))

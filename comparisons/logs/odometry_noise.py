@@ -16,10 +16,8 @@ _LEAST_SIGMA = 1e-3
 def reckoned_motion(instants_s: Array, sample_s: Array, rows: Array) -> tuple[RelativePoses, str]:
     """Return the motions between instants by messages of odometry, and where their noise is from.
 
-    Args:
-        instants_s: (N,) within the samples' time.
-        sample_s: (M,).
-        rows: (M, 15) pose, variances of vx, vy and yaw rate, covariance (3, 3) of the pose.
+    instants_s: (N,) within the samples' time (M,). rows: (M, 15) pose, variances of vx, vy and yaw
+    rate, covariance (3, 3) of the pose.
     """
     motion = displacements(instants_s, poses_at(instants_s, sample_s, rows[:, :3]))
     added, words = odometry_noise(sample_s, rows)
@@ -34,8 +32,7 @@ def added_between(instants_s: Array, sample_s: Array, added: Array) -> Array:
     """Return the covariances (N - 1, 3, 3) between instants (N,), of those between samples (M,)."""
     total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
     reported = np.column_stack([np.interp(instants_s, sample_s, one) for one in total.T])
-    found: Array = np.diff(reported, axis=0).reshape(-1, 3, 3)
-    return found
+    return np.diff(reported, axis=0).reshape(-1, 3, 3)
 
 
 def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:
@@ -53,11 +50,8 @@ def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:
     if grown is not None:
         return grown, "the increments of Odometry's pose covariances"
     variance = rows[:-1, 3:6]
-    if (
-        (variance[:, [0, 2]] > 0).all()
-        and (variance >= 0).all()
-        and (variance <= LARGEST_VARIANCE).all()
-    ):
+    positive = (variance[:, [0, 2]] > 0).all() and (variance >= 0).all()
+    if positive and (variance <= LARGEST_VARIANCE).all():
         steps = variance * np.diff(time_s)[:, None] ** 2
         return steps[:, :, None] * np.eye(3), "Odometry's twist covariances, each sample's own"
     return None, (
@@ -85,5 +79,4 @@ def _growth(pose: Array, covariance: Array) -> Array | None:
     turned = np.zeros((len(step), 3, 3))
     turned[:, 0, 0] = turned[:, 1, 1] = c
     turned[:, 0, 1], turned[:, 1, 0], turned[:, 2, 2] = s, -s, 1.0
-    found: Array = turned @ added @ turned.transpose(0, 2, 1)
-    return found
+    return turned @ added @ turned.transpose(0, 2, 1)

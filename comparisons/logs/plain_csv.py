@@ -153,20 +153,11 @@ def read_plain(
     units: Mapping[str, str] | None = None,
     start_s: int | None = 0,
 ) -> PlainTable:
-    """Read the columns of a CSV file that are among those wanted.
+    """Return, in SI, what a CSV file has of the columns of a log folder that are wanted.
 
-    Args:
-        path: The file.
-        wanted: Columns of a log folder.
-        units: By a header or a column's usual name, the unit of its values.
-        start_s: What times count from, subtracted from their decimals; None: the origin of the
-            file's own.
-
-    Returns:
-        What of them the file has, in SI.
-
-    Raises:
-        InputError: Naming file, line, column and expectation.
+    units: by a header or a column's usual name, the unit of its values. start_s: what times count
+    from, subtracted from their decimals; None: the origin of the file's own. Raises InputError
+    naming file, line, column and expectation.
     """
     lines = _lines(path, wanted)
     sources = _sources(lines, wanted, units or {})
@@ -185,7 +176,8 @@ def read_plain(
         elif len(source.places) > 1:
             columns[name] = _heading(lines, source)
         else:
-            found = source.unit or _followed(name, sources)
+            followed = sources.get(_FOLLOWS.get(name, ""), source)
+            found = source.unit or (followed.unit and followed.unit.removeprefix("-"))
             factor[name] = _factor(name, found or "")
             words = lines.words(source.places[0])
             columns[name] = factor[name] * _numbers(path, words, lines.line, name, header)
@@ -379,12 +371,6 @@ def _factor(name: str, unit: str) -> float:
     """What makes SI of a column's values; a unit behind `-` counts the other way round."""
     factor = UNITS.get(_dimension(name), {}).get(unit.removeprefix("-"), 1.0)
     return -factor if unit.startswith("-") else factor
-
-
-def _followed(name: str, sources: Mapping[str, _Source]) -> str | None:
-    """The unit of the column whose sigmas another holds."""
-    followed = sources.get(_FOLLOWS.get(name, ""))
-    return None if followed is None or not followed.unit else followed.unit.removeprefix("-")
 
 
 def _unit_words(name: str, unit: str | None, source: _Source) -> str:

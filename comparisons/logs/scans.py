@@ -25,7 +25,6 @@ class Mount:
     heading_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for name, value in vars(self).items():
             if not abs(value) <= 1e3:
                 raise InputError(f"scans: mount {name} is {value}, expected at most 1000")
@@ -52,17 +51,9 @@ class Scans(Stream):
     beam_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         beams = (len(self.angle_rad),)
-        check(
-            self,
-            "scans",
-            rows="time_s",
-            gaps=("range_m",),
-            angle_rad=None,
-            range_m=beams,
-            intensity=beams,
-        )
+        shapes = {"angle_rad": None, "range_m": beams, "intensity": beams}
+        check(self, "scans", rows="time_s", gaps=("range_m",), **shapes)
         increasing("scans", self.time_s)
         if not abs(self.beam_s) * len(self.angle_rad) <= _LONGEST_SWEEP_S:
             raise InputError(
@@ -85,7 +76,6 @@ class Clouds:
     point_s: Array
 
     def __post_init__(self) -> None:
-        """Check the stream."""
         points = len(self.point_m)
         first = np.array(self.first)
         count = len(self.time_s) + 1

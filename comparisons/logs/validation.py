@@ -72,16 +72,16 @@ def check(
                 stream, None, f"{f.name} has shape {value.shape}, expected {(count, *shape)}"
             )
         bad = np.isinf(value) if f.name in gaps else ~np.isfinite(value)
-        if bad.any():
-            row = int(np.argwhere(bad)[0][0])
-            raise RecordError(stream, row, f"{f.name} is {value[bad][0]}, expected a finite number")
-        if f.name not in ("id", "landmark", "intensity") and (np.abs(value) > LARGEST).any():
-            row = int(np.argwhere(np.abs(value) > LARGEST)[0][0])
-            raise RecordError(
-                stream,
-                row,
-                f"{f.name} is {value[np.abs(value) > LARGEST][0]}, expected at most {LARGEST:g}",
-            )
+        refuse(stream, bad, f.name, value, "a finite number")
+        if f.name not in ("id", "landmark", "intensity"):
+            refuse(stream, np.abs(value) > LARGEST, f.name, value, f"at most {LARGEST:g}")
+
+
+def refuse(stream: str, bad: Mask, name: str, values: NDArray[Any], expected: str) -> None:
+    """Raise RecordError for the first of the values that is bad, if any is."""
+    if bad.any():
+        at = tuple(np.argwhere(bad)[0].tolist())
+        raise RecordError(stream, at[0], f"{name} is {values[at]}, expected {expected}")
 
 
 def whole_numbers(stream: str, name: str, values: NDArray[Any]) -> NDArray[np.int64]:
@@ -89,11 +89,8 @@ def whole_numbers(stream: str, name: str, values: NDArray[Any]) -> NDArray[np.in
     if values.dtype.kind not in "iuf":
         raise RecordError(stream, None, f"{name} is not numeric")
     with np.errstate(invalid="ignore"):
-        bad = np.flatnonzero(~(np.abs(values) < LARGEST_ID) | (values != np.round(values)))
-    if len(bad):
-        raise RecordError(
-            stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected a whole number below 2^53"
-        )
+        bad = ~(np.abs(values) < LARGEST_ID) | (values != np.round(values))
+    refuse(stream, bad, name, values, "a whole number below 2^53")
     return values.astype(np.int64)
 
 
@@ -118,31 +115,15 @@ def increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
         )
 
 
-def above_zero(stream: str, name: str, values: Array) -> None:
-    """Every value must lie above zero."""
-    bad = np.flatnonzero(values <= 0)
-    if len(bad):
-        raise RecordError(stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected above 0")
-
-
 def within(stream: str, name: str, values: Array, low: float, high: float) -> None:
     """Every value must lie in a closed interval."""
-    bad = np.flatnonzero((values < low) | (values > high))
-    if len(bad):
-        raise RecordError(
-            stream,
-            int(bad[0]),
-            f"{name} is {values[bad[0]]}, expected between {low:.4g} and {high:.4g}",
-        )
+    bad = (values < low) | (values > high)
+    refuse(stream, bad, name, values, f"between {low:.4g} and {high:.4g}")
 
 
 def standard_deviation(stream: str, name: str, values: Array) -> None:
     """Sigmas must lie between 1e-7 and 1e6, in whatever unit: beyond that they are mistakes."""
-    bad = np.flatnonzero((values < 1e-7) | (values > 1e6))
-    if len(bad):
-        raise RecordError(
-            stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected between 1e-07 and 1e+06"
-        )
+    within(stream, name, values, 1e-7, 1e6)
 
 
 def positive_definite(stream: str, covariance: Array, *, singular: bool = False) -> None:

@@ -69,10 +69,8 @@ class Batch(NamedTuple):
 def pack(rows: Sequence[bytes], texts: Iterable[str], matrices: Collection[bytes]) -> bytes:
     """Return a batch.
 
-    Args:
-        rows: Of the table, each as ROW packs it.
-        texts: That it names, in order, in JSON.
-        matrices: That it refers to, in order, as float64.
+    rows: of the table, each as ROW packs it. texts: that it names, in order, in JSON. matrices:
+    that it refers to, in order, as float64.
     """
     spoken = f"[{','.join(texts)}]".encode()
     sizes = np.fromiter(map(len, matrices), "<u4", len(matrices)) // 8

@@ -14,16 +14,11 @@ from comparisons.trace.batch import COLUMNS
 from comparisons.trace.events import ADDITIVE
 from comparisons.trace.rows import Cell, Row, distinct
 
-_AT = {
-    name: at
-    for at, name in enumerate(
-        (
-            *("jacobian", "noise", "noise_jacobian", "residual", "correction", "gain"),
-            *("covariance", "mean", "error"),
-        ),
-        6,
-    )
-}
+_MATRICES = (
+    *("jacobian", "noise", "noise_jacobian", "residual", "correction", "gain"),
+    *("covariance", "mean", "error"),
+)
+_AT = {name: at for at, name in enumerate(_MATRICES, 6)}
 _REPEATED = ("jacobian", "noise", "noise_jacobian")
 """Matrices that are NULL where they are those of the event before of the same kind and sensor."""
 _CHUNK, _CHUNK_BYTES = 128, 1 << 24

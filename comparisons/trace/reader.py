@@ -20,8 +20,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from comparisons.errors import InputError, check_regular, printable
 from comparisons.trace.batch import unpack
-from comparisons.trace.events import CHARTS, Event, Sensor
-from comparisons.trace.rows import MOST_ENTRIES, EventReader, batch_rows, distinct, shown
+from comparisons.trace.events import Event, Sensor
+from comparisons.trace.rows import EventReader, batch_rows, distinct, is_block, shown
 
 APPLICATION = 0x534C4154
 VERSION = 2
@@ -343,13 +343,7 @@ def last_state(path: Path) -> tuple[int, list[list[Any]]]:
         number, said = file.execute(asked).fetchone() or (0, "[]")
     state = _json(said)
     sound = isinstance(state, list) and all(
-        isinstance(one, list)
-        and len(one) == 3
-        and isinstance(one[0], str)
-        and type(one[1]) is int
-        and 0 < one[1] <= MOST_ENTRIES
-        and one[2] in CHARTS
-        for one in state
+        is_block(one) and isinstance(one[0], str) for one in state
     )
     if type(number) is not int or not sound:
         raise InputError(f"{path}: its last batch says {shown(said)} of its blocks")

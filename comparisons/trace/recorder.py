@@ -1,5 +1,7 @@
 """Records what a Kalman filter does: a few lines around an existing filter."""
 
+# ruff: noqa: N803 - matrices are called as the field calls them
+
 from __future__ import annotations
 
 import json
@@ -8,7 +10,6 @@ import os
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NoReturn, Self, TypedDict, Unpack
 
 import numpy as np
@@ -133,12 +134,7 @@ class Recorder:
         """Return the recorder itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Commit and close, whatever happened."""
         self.close()
 
@@ -235,8 +231,8 @@ class Recorder:
 
     def predict(
         self,
-        F: ArrayLike,  # noqa: N803
-        Q: ArrayLike,  # noqa: N803
+        F: ArrayLike,
+        Q: ArrayLike,
         blocks: Iterable[str] | None = None,
         *,
         point: ArrayLike | None = None,
@@ -263,8 +259,8 @@ class Recorder:
         self,
         sensor: str,
         residual: ArrayLike,
-        H: ArrayLike,  # noqa: N803
-        R: ArrayLike,  # noqa: N803
+        H: ArrayLike,
+        R: ArrayLike,
         blocks: Iterable[str] | None = None,
         **more: Unpack[Measured],
     ) -> None:
@@ -284,8 +280,8 @@ class Recorder:
         self,
         sensor: str,
         residual: ArrayLike,
-        H: ArrayLike,  # noqa: N803
-        R: ArrayLike,  # noqa: N803
+        H: ArrayLike,
+        R: ArrayLike,
         blocks: Iterable[str] | None = None,
         **more: Unpack[Measured],
     ) -> None:
@@ -345,9 +341,9 @@ class Recorder:
     def augment(
         self,
         name: str,
-        G_x: ArrayLike,  # noqa: N803
-        G_z: ArrayLike,  # noqa: N803
-        R: ArrayLike,  # noqa: N803
+        G_x: ArrayLike,
+        G_z: ArrayLike,
+        R: ArrayLike,
         blocks: Iterable[str] | None = None,
         **more: Unpack[Begun],
     ) -> None:
@@ -401,11 +397,7 @@ class Recorder:
         self._sizes.clear()
         self._put(REMOVE, text, ())
 
-    def reset(
-        self,
-        J: ArrayLike,  # noqa: N803
-        blocks: Iterable[str] | None = None,
-    ) -> None:
+    def reset(self, J: ArrayLike, blocks: Iterable[str] | None = None) -> None:
         """Record that the error is expressed anew, as after an error-state correction: e' = J e.
 
         Args:
@@ -416,13 +408,7 @@ class Recorder:
         j = self._blob("J", J, (n, n))
         self._put(RESET, text, (j,))
 
-    def renew(
-        self,
-        block: str,
-        P: ArrayLike,  # noqa: N803
-        *,
-        after: ArrayLike | None = None,
-    ) -> None:
+    def renew(self, block: str, P: ArrayLike, *, after: ArrayLike | None = None) -> None:
         """Record that the covariance of a block is set on purpose, as where a bias starts anew.
 
         Its error becomes independent of all others: it is a prediction with F = 0 and Q = P.
@@ -437,7 +423,7 @@ class Recorder:
 
     def snapshot(
         self,
-        P: ArrayLike,  # noqa: N803
+        P: ArrayLike,
         blocks: Iterable[str] | None = None,
         *,
         mean: ArrayLike | None = None,

@@ -111,15 +111,7 @@ class EventReader:
         self._unchecked: list[tuple[int, str, bool, Array, Blocks]] = []
         self._faults: dict[tuple[int, bool], tuple[Array, str]] = {}
         self._make: dict[str, Callable[[Row], Event]] = {
-            "prior": self._prior,
-            "predict": self._predict,
-            "update": self._update,
-            "augment": self._augment,
-            "clone": self._clone,
-            "remove": self._remove,
-            "reset": self._reset,
-            "snapshot": self._snapshot,
-            "directions": self._directions,
+            kind: getattr(self, f"_{kind}") for kind in KINDS
         }
 
     @property
@@ -281,12 +273,11 @@ class EventReader:
 
     def _new(self, row: Row) -> tuple[str, int, str]:
         """Name, dimension and chart of a block that begins."""
-        text = row.text
-        name, dim, chart = text if isinstance(text, list) and len(text) == 3 else (None,) * 3
-        if type(dim) is not int or not 0 < dim <= MOST_ENTRIES or not _all_charts([chart]):
-            fault = f"text {shown(text)}, expected a name, a dimension and a chart"
+        if not is_block(row.text):
+            fault = f"text {shown(row.text)}, expected a name, a dimension and a chart"
             self._refuse(row.number, fault)
-        return self._unused(row.number, name), dim, str(chart)
+        name, dim, chart = row.text
+        return self._unused(row.number, name), dim, chart
 
     def _unused(self, number: int, name: Any) -> str:
         if not isinstance(name, str):
@@ -386,10 +377,7 @@ class EventReader:
 
 
 def _faults(
-    stack: Array,
-    sigmas: Callable[[int], Array] = lambda index: np.zeros(0),
-    *,
-    definite: bool,
+    stack: Array, sigmas: Callable[[int], Array] = lambda index: np.zeros(0), *, definite: bool
 ) -> Iterator[tuple[int, str]]:
     """Yield index and fault of the matrices of (k, n, n) that are no covariances.
 
@@ -468,6 +456,16 @@ def distinct(found: Any) -> Blocks | None:
     if not isinstance(found, list) or not all(isinstance(one, str) for one in found):
         return None
     return tuple(found) if len(set(found)) == len(found) else None
+
+
+def is_block(found: Any) -> bool:
+    """Whether it is a list of what may be a name, and of a dimension and a chart."""
+    return (
+        isinstance(found, list)
+        and len(found) == 3
+        and _counts(found[1:2])
+        and _all_charts(found[2:])
+    )
 
 
 def _pair(text: Any) -> tuple[Any, Any]:

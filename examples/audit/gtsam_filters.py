@@ -104,13 +104,9 @@ class ImuEkf:
 
 
 def record(path: Path, seed: int, fault: str | None = None, snapshots: int = 1) -> Planted | None:
-    """Simulate, filter and record.
+    """Simulate, filter and record into a new file. fault: one of FAULTS.
 
-    Args:
-        path: Of the trace, a new file.
-        seed: Of the simulation.
-        fault: One of FAULTS.
-        snapshots: A snapshot is taken after every so many predictions and updates.
+    snapshots: one is taken after every so many predictions and updates.
     """
     rng = np.random.default_rng(seed)
     chosen = None if fault is None else FAULTS[fault]

@@ -79,8 +79,7 @@ def distance_to_segments(point: Array, segment: Array) -> Array:
     square = np.maximum(np.square(length[which]), 1e-18)
     along = np.clip((apart * way[which]).sum(axis=1) / square, 0.0, 1.0)
     off = np.linalg.norm(apart - along[:, None] * way[which], axis=1)
-    result: Array = np.minimum.reduceat(off, np.cumsum(counts) - counts)
-    return result
+    return np.minimum.reduceat(off, np.cumsum(counts) - counts)
 
 
 def near_share(point: Array, other: Array, reach_m: float) -> float:

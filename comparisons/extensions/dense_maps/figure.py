@@ -79,17 +79,9 @@ def draw_cloud(axis: Axes, point: Array) -> None:
 
 def draw_distances(axis: Axes, point: Array, distance_m: Array) -> PathCollection:
     """Points (N, 2) by their distance (N,) to something, yellow from half a metre on."""
-    x, y = thinned(point).T
+    (x, y), by = thinned(point).T, thinned(distance_m)
     return axis.scatter(
-        x,
-        y,
-        s=1.5,
-        linewidths=0,
-        c=thinned(distance_m),
-        cmap="viridis",
-        vmin=0.0,
-        vmax=0.5,
-        zorder=3,
+        x, y, s=1.5, linewidths=0, c=by, cmap="viridis", vmin=0.0, vmax=0.5, zorder=3
     )
 
 

@@ -91,14 +91,14 @@ class DynamicResult(Model):
         landmarks: ids of landmarks of the map that stand in such a place.
     """
 
-    places: int
+    places: Annotated[int, Named("places", "{}")]
     cells: int
-    area_m2: float
+    area_m2: Annotated[float, Named("area", "{:.1f} m2")]
     fast: int
     slow: int
     compared: int
     deformed: int
-    landmarks: list[int]
+    landmarks: Annotated[list[int], Named("landmarks in these places", lambda ids: f"{len(ids)}")]
 
 
 class MapResult(JobResult):
@@ -176,10 +176,8 @@ class MapReport(Report[DenseMapping, MapResult]):
             remarks=result.remarks,
             lines=[
                 ("occupied", f"{', '.join(layers)} samples"),
-                *(
-                    [("surfaces", f"median distance to true ones: {', '.join(errors)}")]
-                    * bool(errors)
-                ),
+                *[("surfaces", f"median distance to true ones: {', '.join(errors)}")]
+                * bool(errors),
                 *self.found.known.lines,
             ],
             rows=_map_rows(result, self.found.known),
@@ -231,12 +229,8 @@ def _map_rows(result: MapResult, known: Known) -> list[Row]:
         "returns fused into regions after a delay": returns.late,
         "returns outside all regions": returns.outside,
     }
-    rows = [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *ekf_rows(result.ekf),
-        *known.rows,
-    ]
+    rows = [*log_rows(result.log), *settings_rows(result.settings)]
+    rows += [*ekf_rows(result.ekf), *known.rows]
     if result.scan_landmarks:
         rows.append(Row("EKF", "scan landmarks", f"{result.scan_landmarks:,}"))
     rows += result.first_condition.rows()
@@ -244,12 +238,8 @@ def _map_rows(result: MapResult, known: Known) -> list[Row]:
     for name, layer in result.layers.items():
         rows += rows_of("Layers", layer, before=f"{name}: ")
     rows += surface_error_rows(result.surface_errors)
-    if (moving := result.dynamic) is not None:
-        rows += [
-            Row("Moving objects", "places", f"{moving.places}"),
-            Row("Moving objects", "area", f"{moving.area_m2:.1f} m2"),
-            Row("Moving objects", "landmarks in these places", f"{len(moving.landmarks)}"),
-        ]
+    if result.dynamic is not None:
+        rows += rows_of("Moving objects", result.dynamic)
     return [*rows, *seconds_rows(result.seconds, result.cpu_s)]
 
 

@@ -23,7 +23,7 @@ from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.dynamic import Counters, Differencing, DynamicLayer
+from ekf_reference.dense.dynamic import Differencing, DynamicLayer
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
@@ -163,10 +163,7 @@ class DenseWatcher:
     """
 
     def __init__(
-        self,
-        log: Log,
-        options: DenseMapsConfig,
-        kinds: tuple[LandmarkKind, ...] = (POINT,),
+        self, log: Log, options: DenseMapsConfig, kinds: tuple[LandmarkKind, ...] = (POINT,)
     ) -> None:
         """kinds: of landmarks that regions are anchored to (Nieto 2005, section 6.2).
 
@@ -247,11 +244,6 @@ class DenseWatcher:
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self._dense, self._dense.landmark, point)
-
-    @property
-    def moves(self) -> Counters:
-        """What looking for motion came to; zeros where it was not asked for."""
-        return Counters() if self._dense.dynamic is None else self._dense.dynamic.counters
 
     def run(self) -> DenseRun:
         """The map, once the filter has finished."""

@@ -48,19 +48,16 @@ class DynamicFinding(Finding):
             return
         placed = watcher.dense.regions.placed(watcher.dense.landmark)
         count = int(places(layer.points(placed)).max(initial=-1)) + 1
-        found = (
-            f"something moves in {count} places, with a total area of "
-            f"{layer.area_m2(placed):.1f} m^2"
-        )
+        area = f"{layer.area_m2(placed):.1f} m^2"
+        found = f"something moves in {count} places, with a total area of {area}"
         self.remarks = [found if count else "no motion was detected"]
-        moves = watcher.moves
-        if moves.compared <= moves.deformed:
-            pairs = moves.compared + moves.deformed
+        moves = layer.counters
+        if moves.compared > moves.deformed:
+            return
+        why = "no region had two maps to compare; a region needs three landmarks"
+        if pairs := moves.compared + moves.deformed:
             why = (
-                f"{moves.deformed} of {pairs} pairs of maps could not be compared, since the "
-                "shape of "
-                "their region changed; a region needs three static landmarks"
-                if pairs
-                else "no region had two maps to compare; a region needs three landmarks"
+                f"{moves.deformed} of {pairs} pairs of maps could not be compared, since the shape "
+                "of their region changed; a region needs three static landmarks"
             )
-            self.remarks.append(f"motion could hardly be detected: {why}")
+        self.remarks.append(f"motion could hardly be detected: {why}")

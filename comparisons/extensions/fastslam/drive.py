@@ -29,19 +29,6 @@ VIEW = View(range_m=30.0, half_angle_rad=1.2)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Depletion:
-    """How small a cloud is.
-
-    effective: mean effective sample size over the epochs. first, middle: particles of the first and
-    of the middle epoch that have descendants in the last cloud.
-    """
-
-    effective: float
-    first: int
-    middle: int
-
-
-@dataclass(frozen=True, kw_only=True)
 class Cloud:
     """What a FastSLAM estimates of a log.
 
@@ -54,16 +41,6 @@ class Cloud:
     mean: Array
     covariance: Array
     sampled: Index
-
-    def depletion(self) -> Depletion:
-        """Return how depleted it is."""
-        history = self.slam.history
-        distinct = history.distinct()
-        return Depletion(
-            effective=float(np.mean(history.effective)),
-            first=int(distinct[0]),
-            middle=int(distinct[len(distinct) // 2]),
-        )
 
 
 class Sampling(NamedTuple):

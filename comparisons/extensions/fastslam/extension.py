@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,12 +17,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import (
-    Cloud,
-    Sampling,
-    build_fastslam,
-    run_fastslam,
-)
+from comparisons.extensions.fastslam.drive import Cloud, Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.figures import LeftOut, Less, More
 from comparisons.logs.transforms.known_landmarks import surveyed
@@ -138,6 +134,7 @@ class FastSlamFinding(Finding):
         self.titles = {"fastslam": "FastSLAM"}
         apart = cloud.mean - smoothed.pose
         apart[:, 2] = wrap_angle(apart[:, 2])
+        distinct = cloud.slam.history.distinct()
         self.result = FastSlamResult(
             **vars(check),
             particles=settings.particles,
@@ -147,7 +144,9 @@ class FastSlamFinding(Finding):
             path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
             difference_m=float(np.hypot(*apart[-1, :2])),
             difference_rad=float(abs(apart[-1, 2])),
-            **vars(cloud.depletion()),
+            effective=float(np.mean(cloud.slam.history.effective)),
+            first=int(distinct[0]),
+            middle=int(distinct[len(distinct) // 2]),
             accuracy=self.accuracy,
         )
         self.entries = {"fastslam": self.result}
@@ -156,45 +155,32 @@ class FastSlamFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return how the clouds compare with the smoother, and how depleted the whole log's is."""
-        own, level = self.result, f"above {LEVEL:g}"
-        turned = f"{np.degrees(own.difference_rad):.2f} deg"
-        exact: list[tuple[Any, ...]] = []
+        own, row = self.result, partial(Row, "FastSLAM")
+
+        def chance(of: str, p: float) -> Row:
+            return row(f"stretches: p of the {of}", f"{p:.4f}", f"above {LEVEL:g}", p > LEVEL)
+
+        exact = []
         if own.exact is not None and own.exact.stretches:
-            exact = [
-                (
-                    f"stretches: p of the {of} against the exact posterior",
-                    f"{p:.4f}",
-                    level,
-                    p > LEVEL,
-                )
-                for of, p in (("clouds", own.exact.clouds), ("Gaussian", own.exact.gaussian))
-            ]
+            exact.append(chance("clouds against the exact posterior", own.exact.clouds))
+            exact.append(chance("Gaussian against the exact posterior", own.exact.gaussian))
+        counts = f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}"
         most, known = f"at most {own.largest_shift:.2f}", own.independent
-        found: list[tuple[Any, ...]] = [
-            ("clouds against the smoother", own.verdict),
-            (
-                "particles of a cloud, clouds, stretches",
-                f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}",
-            ),
-            ("stretches: mean length", f"{own.length_s:.1f} s"),
-            (
-                "stretches: independent particles of a cloud",
-                f"{known:.2g}",
-                "at least 1",
-                known >= 1.0,
-            ),
-            ("stretches: p of the energy distance", f"{own.p:.4f}", level, own.p > LEVEL),
-            *exact,
-            ("stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
-            ("stretches: squared shift (1 expected)", f"{own.squared_shift:.2f}", most),
-            ("stretches: variance (1 expected)", f"{own.spread:.2f}"),
-            ("whole log: path from the smoother's (RMS)", f"{own.path_m:.3f} m"),
-            ("whole log: last pose from the smoother's", f"{own.difference_m:.3f} m, {turned}"),
-            ("whole log: mean effective sample size", f"{own.effective:.0f}"),
-            ("whole log: ancestors in first and middle epoch", f"{own.first}, {own.middle}"),
-        ]
+        like, turned = f"{known:.2g}", f"{np.degrees(own.difference_rad):.2f} deg"
         return [
-            *(Row("FastSLAM", *one) for one in found),
+            row("clouds against the smoother", own.verdict),
+            row("particles of a cloud, clouds, stretches", counts),
+            row("stretches: mean length", f"{own.length_s:.1f} s"),
+            row("stretches: independent particles of a cloud", like, "at least 1", known >= 1.0),
+            chance("energy distance", own.p),
+            *exact,
+            row("stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
+            row("stretches: squared shift (1 expected)", f"{own.squared_shift:.2f}", most),
+            row("stretches: variance (1 expected)", f"{own.spread:.2f}"),
+            row("whole log: path from the smoother's (RMS)", f"{own.path_m:.3f} m"),
+            row("whole log: last pose from the smoother's", f"{own.difference_m:.3f} m, {turned}"),
+            row("whole log: mean effective sample size", f"{own.effective:.0f}"),
+            row("whole log: ancestors in first and middle epoch", f"{own.first}, {own.middle}"),
             *accuracy_rows("FastSLAM", own.accuracy),
         ]
 

@@ -79,10 +79,8 @@ class StretchComparison:
     def __init__(self, gaps: Gaps, log: Log, sampling: Sampling) -> None:
         """Take the measurements and the association that both estimators had.
 
-        Args:
-            gaps: Both estimators on the whole log.
-            log: Which FastSLAM believes; its instants are those of the estimators' log.
-            sampling: How to sample; its seed is that of all clouds.
+        log: which FastSLAM believes; its instants are those of the estimators' log. sampling: its
+        seed is that of all clouds.
         """
         run = gaps.run
         self._log, self._sampling = log, sampling
@@ -128,13 +126,7 @@ class StretchComparison:
         return Stretch(first, self._last)
 
     def clouds(self, stretch: Stretch, number: int, count: int) -> StretchClouds:
-        """Run independent clouds through a stretch, and the smoother.
-
-        Args:
-            stretch: One of `stretches`.
-            number: Of the stretch, for the seeds.
-            count: M, clouds.
-        """
+        """Run M independent clouds through a stretch, and the smoother. number: for the seeds."""
         first, last, depleted = stretch
         reference = reference_of(self._problem, self._whole, (first, last), self._known(first))
         draws, means, moments = [], [], []
@@ -234,11 +226,10 @@ class Reference(NamedTuple):
         return np.asarray(np.linalg.solve(self.root, apart.T).T)
 
     def exact_draws(self, generator: np.random.Generator) -> Array | None:
-        """Draw from the exact posterior, not from its Gaussian.
+        """Draw (EXACT_DRAWS, d) from the exact posterior, whitened by its Gaussian.
 
-        Returns:
-            (EXACT_DRAWS, d), whitened by the Gaussian; None where the stretch has more unknowns
-            than can be sampled, or the chains did not converge.
+        None where the stretch has more unknowns than can be sampled, or the chains did not
+        converge.
         """
         result, options = self.result, SamplingOptions()
         try:
@@ -257,13 +248,9 @@ class Reference(NamedTuple):
 def reference_of(
     problem: SlamProblem, whole: SmootherResult, epochs: tuple[int, int], start: Start
 ) -> Reference:
-    """Smooth a stretch.
+    """Smooth a stretch of a problem, from the whole log's optimum on.
 
-    Args:
-        problem: Of the whole log.
-        whole: Its optimum, from which the search begins.
-        epochs: First and last of the stretch, both included.
-        start: What is known at the first.
+    epochs: first and last, both included. start: what is known at the first.
     """
     first, last = epochs
     part, landmarks = between(problem, epochs, start)

@@ -19,6 +19,7 @@ from comparisons.extensions.high_level.source import (
     HighLevelRun,
     HighLevelSource,
 )
+from comparisons.figures import rows_of
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
@@ -69,19 +70,10 @@ class HighLevelFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return what was searched, found and kept, and how often it was measured."""
-        made = self.made
-        counts = {
-            "searches of the dense map": made.searches,
-            "corners found": made.corners,
-            "pairs of corners tried": made.pairs,
-            "candidates with too few Gaussians": made.poor,
-            "landmarks found": made.found,
-            "landmarks measured again and kept": made.kept,
-            "landmarks deactivated where something moves": made.deactivated,
-            "measurements": made.looks.get("seen", 0),
-            **{f"no measurement: {why}": n for why, n in made.looks.items() if why != "seen"},
-        }
-        return [Row("High level landmarks", name, f"{count:,}") for name, count in counts.items()]
+        made, group = self.made, "High level landmarks"
+        counts = {"measurements": made.looks.get("seen", 0)}
+        counts |= {f"no measurement: {why}": n for why, n in made.looks.items() if why != "seen"}
+        return [*rows_of(group, made), *(Row(group, name, f"{n:,}") for name, n in counts.items())]
 
     def draw(self, axis: Axes) -> None:
         """Draw rectangles and axes."""

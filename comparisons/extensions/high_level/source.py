@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import cast
+from dataclasses import dataclass, field
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from comparisons.arrays import Array
 from comparisons.extensions.dense_maps.config import BARE, DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
-from comparisons.figures import Aside
+from comparisons.figures import Aside, Named
 from comparisons.logs.log import Log
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import to_world
@@ -42,9 +42,6 @@ class HighLevelOptions:
 
     dense: settings of the map but for its layers and cells. only_in_view, variance_factor: of a
     measurement; see HighLevelLandmarks.
-
-    Nieto 2005, section 6.1.3, searches every minute; in the worlds here a loop takes 77 s, and an
-    object stays within reach for less than half of a minute.
     """
 
     every_s: float = 20.0
@@ -57,16 +54,12 @@ class HighLevelOptions:
     @classmethod
     def of(cls, config: HighLevelConfig, dense: DenseMapsConfig | None = None) -> HighLevelOptions:
         """Return what was chosen; d_min follows the cells, as in Nieto 2005, section 6.5."""
-        usual, cell_m = SearchOptions(), config.cell_m
-        looked = replace(
-            usual, cell_m=max(usual.cell_m, cell_m), pair_m=config.pair_m, least=config.least
-        )
-        dense = dense or DenseMapsConfig()
+        cell_m = max(SearchOptions.cell_m, config.cell_m)
         return cls(
             every_s=config.every_s,
-            search=looked,
-            resolution_m=cell_m,
-            dense=dense,
+            search=SearchOptions(cell_m=cell_m, pair_m=config.pair_m, least=config.least),
+            resolution_m=config.cell_m,
+            dense=dense or DenseMapsConfig(),
             only_in_view=config.only_in_view,
             variance_factor=config.variance_factor,
         )
@@ -104,14 +97,14 @@ class HighLevelRun:
         rectangle: (K, 4, 2) as place.
     """
 
-    searches: int
-    corners: int
-    pairs: int
+    searches: Annotated[int, Named("searches of the dense map")]
+    corners: Annotated[int, Named("corners found")]
+    pairs: Annotated[int, Named("pairs of corners tried")]
     candidates: int
-    poor: int
-    found: int
-    kept: int
-    deactivated: int
+    poor: Annotated[int, Named("candidates with too few Gaussians")]
+    found: Annotated[int, Named("landmarks found")]
+    kept: Annotated[int, Named("landmarks measured again and kept")]
+    deactivated: Annotated[int, Named("landmarks deactivated where something moves")]
     looks: dict[str, int]
     landmark_index: Aside[NDArray[np.intp]]
     place: Aside[Array]
@@ -173,9 +166,9 @@ class HighLevelSource(FilterObservers):
         shape = of_scan(scan.bearing_rad, scan.range_m, scan.sensor)
         seen = self.landmarks.look(ekf, Glimpse(shape, scan.pose, self._view))
         if seen:
-            landmark_index = [self.landmarks.landmark[one.number].landmark_index for one in seen]
+            known = self.landmarks.landmark
+            which = np.array([known[one.number].landmark_index for one in seen], dtype=np.intp)
             z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
-            which = np.array(landmark_index, dtype=np.intp)
             self.landmarks.initialised(seen, recorder.observe(ekf, epoch, z, noise, which))
 
     def keep_from(self, guard: DynamicGuard) -> None:

@@ -169,8 +169,7 @@ def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
     return (
         f"; the residual of measurement {row} at {t:.1f} s is {theirs**0.5:.1f} sigma with the "
         f"filter's landmark {run.estimate.landmark_id[run.landmark_index[row]]} and "
-        f"{ours**0.5:.1f} sigma "
-        "with the smoother's own"
+        f"{ours**0.5:.1f} sigma with the smoother's own"
     )
 
 
@@ -217,16 +216,15 @@ class OwnAssociation(Extension):
             prepared.progress("own association", 0, 0)
             found = work.result()
             log, run, estimate = prepared.log, known.ekf, found.estimate
-            own = check_own_association(
-                log.measurements,
+            epoch, by_both = (
                 run.timeline.measurement_epoch,
                 (run.landmark_index, found.landmark_index),
-                known.gaps.smoothed,
-                estimate,
-                found.optimality,
             )
+            smoothed, optimality = known.gaps.smoothed, found.optimality
             own = replace(
-                own,
+                check_own_association(
+                    log.measurements, epoch, by_both, smoothed, estimate, optimality
+                ),
                 accuracy=assess(estimate, prepared.judged, labelled=False),
                 association=score_association(found.landmark_index, estimate.landmark, log),
             )
@@ -311,32 +309,22 @@ def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
     landmark_index, ids = run.landmark_index, run.estimate.landmark_id
     time_s = run.timeline.epoch_time_s[run.timeline.measurement_epoch]
     rows = []
-    listed = zip(own.differing[:_MOST_ROWS].tolist(), own.cost.tolist(), strict=False)
-    for row, cost in listed:
-        theirs, counterpart = int(own.landmark_index[row]), -1
-        if theirs >= 0:
-            counterpart = int(own.matched[theirs])
-        meant = f" (the filter's {ids[counterpart]})" if counterpart >= 0 else ""
-        used = landmark_index[row] >= 0
-        filters = (
-            str(ids[landmark_index[row]])
-            if used
-            else UNUSED.get(int(landmark_index[row]), "unused")
-        )
-        key = f'data-key="{ids[landmark_index[row]]}" tabindex="0"' if used else ""
-        smoothers = f"{theirs}{meant}" if theirs >= 0 else "unused"
+    for row, cost in zip(own.differing[:_MOST_ROWS].tolist(), own.cost.tolist(), strict=False):
+        ours, theirs = int(landmark_index[row]), int(own.landmark_index[row])
+        filters, key = UNUSED.get(ours, "unused"), ""
+        if ours >= 0:
+            filters, key = str(ids[ours]), f'data-key="{ids[ours]}" tabindex="0"'
+        smoothers = f"{theirs}" if theirs >= 0 else "unused"
+        if theirs >= 0 and (counterpart := int(own.matched[theirs])) >= 0:
+            smoothers += f" (the filter's {ids[counterpart]})"
         misses = (number(squared**0.5) for squared in cost)
         rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers, *misses)))
     count, more = len(own.differing), len(own.differing) - len(rows)
     reported = f"{count:,} of {len(own.landmark_index):,} measurements differ"
     reported += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
     head = (
-        "measurement",
-        "time [s]",
-        "filter's landmark",
-        "smoother's own",
-        "misses the filter's [sigma]",
-        "misses the smoother's [sigma]",
+        *("measurement", "time [s]", "filter's landmark", "smoother's own"),
+        *("misses the filter's [sigma]", "misses the smoother's [sigma]"),
     )
     return (
         f'<h2>Associations that differ</h2><p class="note">{reported}</p>'

@@ -207,20 +207,17 @@ def common_shift(
     """What differences (C, 3) have in common, (3,), its squared distance, the scatter's freedom.
 
     landmark_index: (C,) whose they are. information: (C, 3, 3) of each. A template's differences
-    count as
-    one, and the scatter about the shift is measured: it is less than stated, as the noise of scan
-    and template is shared. Fewer than three landmarks have nothing in common: 0, 0.
+    count as one, and the scatter about the shift is measured: it is less than stated, as the noise
+    of scan and template is shared. Fewer than three landmarks have nothing in common: 0, 0.
     """
-    landmark_indices, which, count = np.unique(
-        landmark_index, return_inverse=True, return_counts=True
-    )
-    if len(landmark_indices) < LEAST_SEEN:
+    _, which, count = np.unique(landmark_index, return_inverse=True, return_counts=True)
+    if len(count) < LEAST_SEEN:
         return np.zeros(3), 0.0, 0
     weight = information / count[which][:, None, None]
     total = weight.sum(axis=0)
     shift = np.linalg.solve(total, np.einsum("nij,nj->i", weight, difference))
     rest = difference - shift
-    freedom = 3 * (len(landmark_indices) - 1)
+    freedom = 3 * (len(count) - 1)
     scatter = float(np.einsum("ni,nij,nj->", rest, weight, rest)) / freedom
     return shift, float(shift @ total @ shift) / max(scatter, np.finfo(float).tiny), freedom
 
@@ -297,8 +294,7 @@ def _later(seen: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
 def _in_poses_frame(seen: PoseLandmarkMeasurements, rows: Index) -> Array:
     """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
     turn = to_tangent(seen.measured[rows, 2])
-    turned: Array = turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
-    return turned
+    return turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
 
 
 def _rms(apart: Array) -> float:
@@ -312,9 +308,9 @@ _NAMED = 3
 
 def matching_cause(own: OwnMatchingCheck) -> Cause:
     """S against S''."""
-    parts, hint = (
-        [],
-        "check the alignments that only one of the two made: at loops, and where places look alike",
+    parts = []
+    hint = (
+        "check the alignments that only one of the two made: at loops, and where places look alike"
     )
     if own.shifted:
         (x, y), turn = own.shift_m, own.shift_rad
@@ -340,8 +336,7 @@ def matching_cause(own: OwnMatchingCheck) -> Cause:
         parts.append(
             f"the smoother's own matcher moves its last pose by {own.pose_difference_m:.2f} m "
             f"({own.pose_distance_sigma:.1f} sigma) and its path by {own.path_smoother_m:.2f} m "
-            f"(RMS), and "
-            f"{pair.outside} of {pair.landmarks} scan landmarks lie outside their 99 % "
+            f"(RMS), and {pair.outside} of {pair.landmarks} scan landmarks lie outside their 99 % "
             f"region; the filter has {own.filter:,} alignments and the smoother {own.own:,}, of "
             f"which {own.common:,} have the same landmark and scan"
         )

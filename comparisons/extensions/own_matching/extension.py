@@ -151,15 +151,8 @@ def solve_with_own_matching(known: Known, slam: ScanSlamSource) -> OwnMatchingCh
 def matching_differences(own: OwnMatchingCheck) -> str:
     """Return a table of how the two matchers' alignments differ, by scan landmark."""
     head = (
-        "landmark",
-        "scans",
-        "sigma",
-        "ahead [m]",
-        "left [m]",
-        "turn [deg]",
-        "worst [s]",
-        "its sigma",
-        "",
+        *("landmark", "scans", "sigma", "ahead [m]", "left [m]", "turn [deg]"),
+        *("worst [s]", "its sigma", ""),
     )
     rows = [
         (

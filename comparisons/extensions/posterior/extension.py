@@ -84,11 +84,7 @@ class Moments:
     @classmethod
     def of(cls, draws: PosteriorDraws) -> Moments:
         """Return them from draws that converged."""
-        found = {
-            "mean": draws.mean(),
-            "covariance": draws.covariance(),
-            "skewness": draws.skewness(),
-        }
+        found = {name: getattr(draws, name)() for name in ("mean", "covariance", "skewness")}
         values = {name: value.tolist() for name, (value, _) in found.items()}
         errors = {f"{name}_error": error.tolist() for name, (_, error) in found.items()}
         return cls(**values, **errors)
@@ -259,20 +255,14 @@ class PosteriorFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return the evidence of convergence, then both Gaussians."""
-        one = self.check
-        samples = {"bulk": one.bulk, "tails": one.tail}
+        one, size = self.check, "least effective sample size"
         rows = [
             Row(_GROUP, "draws, unknowns", f"{one.draws:,}, {one.unknowns:,}"),
             _limited("acceptance", one.acceptance, LEAST_ACCEPTANCE, "at least", ".2f"),
             _limited("largest R-hat", one.r_hat, LARGEST_R_HAT, "at most", ".3f"),
-            *(
-                _limited(
-                    f"least effective sample size, {part}", size, LEAST_SAMPLE_SIZE, "at least",
-                    ".0f",
-                )
-                for part, size in samples.items()
-            ),
-        ]  # fmt: skip
+            _limited(f"{size}, bulk", one.bulk, LEAST_SAMPLE_SIZE, "at least", ".0f"),
+            _limited(f"{size}, tails", one.tail, LEAST_SAMPLE_SIZE, "at least", ".0f"),
+        ]
         if one.moments is None:
             return [*rows, Row(_GROUP, "judgement of the Gaussians", "not converged")]
         skewness = np.abs(one.moments.skewness)

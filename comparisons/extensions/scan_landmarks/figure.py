@@ -53,10 +53,7 @@ def scan_landmark_layers(drawing: Drawing, c: Known, found: ScanLandmarks) -> No
 
 
 def _both(c: Known) -> tuple[tuple[str, str, Estimate], ...]:
-    return (
-        ("smoother", SMOOTHER_COLOUR, c.gaps.smoothed),
-        ("EKF", EKF_COLOUR, c.ekf.estimate),
-    )
+    return (("smoother", SMOOTHER_COLOUR, c.gaps.smoothed), ("EKF", EKF_COLOUR, c.ekf.estimate))
 
 
 def template_points(found: ScanLandmarks, landmark_index: Index, place: Array) -> Array:

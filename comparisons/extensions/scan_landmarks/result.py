@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from comparisons.checks.agreement import PlacedAgreement, Together
 from comparisons.config import setting_default
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
-from comparisons.figures import LeftOut, Model
+from comparisons.figures import LeftOut, Model, Named, rows_of
 from comparisons.pipeline.gaps import Gaps
 from comparisons.words import Row
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
@@ -88,28 +89,15 @@ def scan_slam_rows(result: ScanSlamResult, thesis: TemplateRule) -> list[Row]:
     """
     group, count = "Scan landmarks", sum(row.agrees for row in result.landmarks)
     agreeing = f"{count} of {len(result.landmarks)}"
-    further = {
-        "landmarks merged with duplicates": result.fused,
-        "returns of moving objects, left out": result.dynamic,
-        "landmarks deactivated on moving objects": result.deactivated,
-    }
-    return [
+    further = [one for one in ("fused", "dynamic", "deactivated") if getattr(result, one)]
+    rows = [
         Row(group, "landmarks that agree", agreeing, "all", count == len(result.landmarks)),
-        Row(group, "scans", f"{result.scans:,}"),
-        Row(group, "template extraction", _EXTRACTION[result.pieces]),
-        Row(group, "segments that failed their trial alignment", f"{result.rejected:,}"),
-        *(Row(group, name, f"{n:,}") for name, n in further.items() if n),
-        *(
-            [Row(group, "rule of the templates", rule_text(result.rule, thesis))]
-            if result.rule
-            else ()
-        ),
-        *(
-            Row(group, f"measurements {reason}", f"{n:,}")
-            for reason, n in result.measurements.items()
-            if n
-        ),
+        *rows_of(group, result, ["scans", "pieces", "rejected", *further]),
     ]
+    if result.rule:
+        rows.append(Row(group, "rule of the templates", rule_text(result.rule, thesis)))
+    counts = result.measurements.items()
+    return rows + [Row(group, f"measurements {reason}", f"{n:,}") for reason, n in counts if n]
 
 
 def rule_text(rule: TemplateRule, thesis: TemplateRule) -> str:
@@ -199,12 +187,12 @@ class ScanSlamResult(Model):
         measurements: how often a landmark near the scanner was measured, or why not.
     """
 
-    scans: int
+    scans: Annotated[int, Named("scans")]
     landmarks: Together[list[ScanLandmark]]
-    rejected: int
-    dynamic: int = 0
-    deactivated: int = 0
-    fused: int = 0
-    pieces: str = "single"
+    rejected: Annotated[int, Named("segments that failed their trial alignment")]
+    dynamic: Annotated[int, Named("returns of moving objects, left out")] = 0
+    deactivated: Annotated[int, Named("landmarks deactivated on moving objects")] = 0
+    fused: Annotated[int, Named("landmarks merged with duplicates")] = 0
+    pieces: Annotated[str, Named("template extraction", _EXTRACTION.__getitem__)] = "single"
     rule: LeftOut[TemplateRule | None] = None
     measurements: dict[str, int]

@@ -140,8 +140,7 @@ class Closing:
     """The scan whose fusion moved the scan landmarks the most, as a rule a loop's closing.
 
     shift_m: root mean square over the landmarks. landmark_index: (Q,) those that were there and
-    still are.
-    before, after: (Q, 3).
+    still are. before, after: (Q, 3).
     """
 
     time_s: float

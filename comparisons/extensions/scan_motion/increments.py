@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
@@ -13,7 +15,7 @@ from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.extensions.scan_motion.log_by_scans import divide
-from comparisons.figures import Nominal
+from comparisons.figures import Named, Nominal
 from comparisons.logs.log import Log, Poses, Positions
 from graphslam.increments import Samples, dead_reckoned
 from graphslam.scan import planar
@@ -25,6 +27,7 @@ _LEAST_SPREAD_M = 1e-3
 """Places closer together give a window no heading."""
 _WIDEST = 5.0
 """Largest factor looked for, as a logarithm."""
+_FITS = "that fits the errors best"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +52,10 @@ class IncrementCheck:
     nees: Nominal[float]
     dof: int
     band: tuple[float, float]
-    factor: Nominal[float]
-    reference_factor: Nominal[float | None] = None
+    factor: Annotated[Nominal[float], Named(f"factor on their sigmas {_FITS}", "{:.2f}")]
+    reference_factor: Annotated[
+        Nominal[float | None], Named(f"factor on the positions' sigmas {_FITS}", "{:.2f}")
+    ] = None
     median: Nominal[float | None] = None
 
 
@@ -101,18 +106,15 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
     those in which the vehicle stood still, tell nothing.
     """
     windows = []
-    edges = np.arange(motion.time_s[0], motion.time_s[-1], WINDOW_S)
-    for begin in edges.tolist():
-        rows = np.flatnonzero((fixes.time_s >= begin) & (fixes.time_s < begin + WINDOW_S))
-        rows = rows[(fixes.time_s[rows] >= motion.time_s[0])]
-        rows = rows[(fixes.time_s[rows] <= motion.time_s[-1])]
-        if (
-            len(rows) >= _LEAST_FIXES
-            and not motion.bridged[_steps(motion, fixes.time_s[rows])].any()
-        ):
-            window = _Window(motion, fixes.chosen(rows))
-            if window.spread_m > _LEAST_SPREAD_M:
-                windows.append(window)
+    fixes = fixes.chosen(fixes.time_s <= motion.time_s[-1])
+    for begin in np.arange(motion.time_s[0], motion.time_s[-1], WINDOW_S).tolist():
+        some = fixes.chosen((fixes.time_s >= begin) & (fixes.time_s < begin + WINDOW_S))
+        few = len(some.time_s) < _LEAST_FIXES
+        if few or motion.bridged[_steps(motion, some.time_s)].any():
+            continue
+        window = _Window(motion, some)
+        if window.spread_m > _LEAST_SPREAD_M:
+            windows.append(window)
     if not windows:
         return None
     dof = sum(window.dof for window in windows)
@@ -157,11 +159,8 @@ class _Window:
         fitted = aligned(places, position)
         turn = _angle(places, fitted)
         self._residual = (fitted - position).ravel()
-        spread = _places_covariance(path, pieces.covariance, at, places, turn)
-        self._own = spread
-        self._fixes = np.zeros_like(spread)
-        for k, block in enumerate(fixes.covariance):
-            self._fixes[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
+        self._own = _places_covariance(path, pieces.covariance, at, places, turn)
+        self._fixes = block_diag(*fixes.covariance)
         centred = fitted - fitted.mean(axis=0)
         gauge = np.zeros((2 * len(at), 3))
         gauge[0::2, 0] = gauge[1::2, 1] = 1.0

@@ -26,22 +26,14 @@ from comparisons.extensions.scan_motion.log_by_scans import (
 )
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.transforms.known_landmarks import (
-    SURVEYED,
-    indices_by_label,
-)
+from comparisons.logs.transforms.known_landmarks import SURVEYED, indices_by_label
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown
 from graphslam.increments import dead_reckoned
-from graphslam.scan.loop_closure import (
-    Closed,
-    LoopCloser,
-    NoLoopClosure,
-    loop_closer,
-)
+from graphslam.scan.loop_closure import Closed, LoopCloser, NoLoopClosure, loop_closer
 from graphslam.scan.matchers import MATCHERS
 from graphslam.scan.points import placed
 from graphslam.smoother import SmootherResult, smooth
@@ -120,9 +112,7 @@ def run_front_end(
     log, clock = prepared.log, prepared.clock
     with clock.stage("odometry"):
         motion = run_scan_odometry(
-            log,
-            progress=prepared.stage_progress("scan odometry"),
-            guess=how.guess == "wheels",
+            log, progress=prepared.stage_progress("scan odometry"), guess=how.guess == "wheels"
         )
     with clock.stage("loops"):
         named = _with_named_measurements(log, motion, labelled=labelled)

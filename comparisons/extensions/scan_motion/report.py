@@ -216,10 +216,6 @@ def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
         axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
     if f.wheels is not None:
         draw_aside(axis, f.wheels, "wheels")
-    title = (
-        f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.loop_closures.first)} "
-        "loops "
-        "closed (yellow)"
-    )
-    entitle(axis, title)
+    scans = len(f.motion.row)
+    entitle(axis, f"{f.log.name}: {scans} scans, {len(closed.first)} loops closed (yellow)")
     return figure

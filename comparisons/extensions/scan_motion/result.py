@@ -78,21 +78,13 @@ def _increments(i: IncrementCheck | None) -> list[Row]:
     if i is None:
         return []
     group = f"Increments of the scans against {i.against}"
-    factor = Row(group, "factor on their sigmas that fits the errors best", f"{i.factor:.2f}")
+    rows = rows_of(group, i)
     if i.reference_factor is not None:
-        other = "factor on the positions' sigmas that fits the errors best"
-        return [factor, Row(group, other, f"{i.reference_factor:.2f}")]
+        return rows
     low, high = i.band
-    return [
-        Row(
-            group,
-            "NEES, mean (expected 3)",
-            f"{3.0 * i.nees:.2f}",
-            f"{band(f'{3.0 * low:.2f}', f'{3.0 * high:.2f}')} (95 %)",
-            low <= i.nees <= high,
-        ),
-        factor,
-    ]
+    limits = f"{band(f'{3.0 * low:.2f}', f'{3.0 * high:.2f}')} (95 %)"
+    inside = low <= i.nees <= high
+    return [Row(group, "NEES, mean (expected 3)", f"{3.0 * i.nees:.2f}", limits, inside), *rows]
 
 
 class ScanOdometryResult(Model):

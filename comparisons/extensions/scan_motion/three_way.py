@@ -96,8 +96,7 @@ def find_inconsistent_source(
             test = optimality.chi_square
             return name, (
                 f"chi-square with the motion from {name} is too high, {test.chi2:.0f} for "
-                f"{test.dof} "
-                "degrees of freedom"
+                f"{test.dof} degrees of freedom"
             )
     figures = ("ate_aligned_m", "gps_rms_aligned_m", "landmark_rmse_aligned_m")
     for figure in figures:

@@ -56,15 +56,10 @@ READERS: dict[str, Reader] = {
     "victoria-park": Reader(
         f"{_HERE}.victoria_park", "Victoria Park detections: measurements.dat and others"
     ),
-    "aa3": Reader(
-        f"{_HERE}.aa3",
-        "Victoria Park raw scans: aa3_*.mat (--features trees)",
-    ),
+    "aa3": Reader(f"{_HERE}.aa3", "Victoria Park raw scans: aa3_*.mat (--features trees)"),
     "carmen": Reader(f"{_HERE}.carmen", "CARMEN text: FLASER or ROBOTLASER1 lines"),
     "rosbag": Reader(
-        f"{_HERE}.rosbag",
-        "ROS bag: .mcap, .bag, rosbag2 (--topic; slamcheck[ros])",
-        topics=True,
+        f"{_HERE}.rosbag", "ROS bag: .mcap, .bag, rosbag2 (--topic; slamcheck[ros])", topics=True
     ),
     "rawlog": Reader(f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing, planar scans, 2D odometry"),
 }

@@ -3,10 +3,9 @@
 The scans are raw, so measurements come from them only (`--features trees`). The GPS has a map's
 frame, turned against the start by some 36 degrees; it is brought into the frame of the vehicle's
 start by laying the first seconds of dead reckoning onto it. Fewer hold too little motion, more the
-drift of
-dead reckoning: against the whole drive's smoothed trajectory laid onto the GPS, 10 s of wheel
-samples err by 0.8 degrees and 1 m, 5 s and 60 s by 2 to 4 degrees. (The rotation of 33 degrees in
-`gps.dat` differs by 3.) The antenna behaves as if at the laser.
+drift of dead reckoning: against the whole drive's smoothed trajectory laid onto the GPS, 10 s of
+wheel samples err by 0.8 degrees and 1 m, 5 s and 60 s by 2 to 4 degrees. (The rotation of 33
+degrees in `gps.dat` differs by 3.) The antenna behaves as if at the laser.
 """
 
 from __future__ import annotations
@@ -94,11 +93,8 @@ def _scans(time_s: Array, words: Array) -> Scans:
     bad = np.argwhere((words < 0) | (words >= 2**16) | (words != np.round(words)))
     if len(bad):
         row, beam = bad[0].tolist()
-        raise RecordError(
-            "LASER",
-            row,
-            f"beam {beam} is {words[row, beam]:g}, expected a whole number below 65536",
-        )
+        fault = f"beam {beam} is {words[row, beam]:g}, expected a whole number below 65536"
+        raise RecordError("LASER", row, fault)
     whole = words.astype(np.uint16)
     range_m = (whole & (2**_RANGE_BITS - 1)) / 100.0
     return Scans(

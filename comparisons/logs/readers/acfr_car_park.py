@@ -11,15 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.errors import InputError, naming
-from comparisons.logs.log import (
-    NO_LANDMARK,
-    LandmarkMeasurements,
-    Landmarks,
-    Log,
-    Positions,
-    Prior,
-    Truth,
-)
+from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Positions, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.gps_start import start_from_gps
 from comparisons.logs.readers.matlab import load_matlab
@@ -108,14 +100,8 @@ def reflector_measurements(scans: Scans) -> LandmarkMeasurements:
         | (np.abs(np.diff(distance, prepend=0.0)) > _CLUSTER_GAP_M)
     )
     run = np.cumsum(fresh) - 1
-    size = np.bincount(run)
-    count = len(size)
-    return LandmarkMeasurements(
-        time_s=scans.time_s[scan[fresh]],
-        range_m=np.bincount(run, distance) / size,
-        bearing_rad=np.bincount(run, angle) / size,
-        sigma_range_m=np.full(count, _SIGMA_RANGE_M),
-        sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
-        landmark=np.full(count, NO_LANDMARK),
-        intensity=np.bincount(run, scans.intensity[scan, beam]) / size,
-    )
+    lit = (distance, angle, scans.intensity[scan, beam])
+    *z, intensity = (np.bincount(run, one) / np.bincount(run) for one in lit)
+    sigma = (_SIGMA_RANGE_M, _SIGMA_BEARING_RAD)
+    time_s = scans.time_s[scan[fresh]]
+    return LandmarkMeasurements.of(time_s, np.column_stack(z), sigma, intensity=intensity)

@@ -40,6 +40,14 @@ def read(path: Path) -> Log:
     _bounded(path, problem, notes)
     order = np.argsort(problem.measurement_pose, kind="stable")
     fixes = np.argsort(problem.position_pose, kind="stable")
+    positions = closures = None
+    if len(fixes):
+        time_s = problem.position_pose[fixes].astype(float)
+        covariance = problem.position_covariance[fixes]
+        positions = Positions(time_s, problem.position[fixes], covariance)
+    if len(closed.first) or not len(problem.z):  # a graph of poses, which may close no loop
+        ends = closed.first.astype(float), closed.second.astype(float)
+        closures = LoopClosures(*ends, closed.motion, closed.covariance)
     return Log(
         name=path.stem,
         format="g2o",
@@ -47,29 +55,14 @@ def read(path: Path) -> Log:
         odometry=RelativePoses(
             np.arange(1.0, problem.pose_count), problem.increment, problem.increment_covariance
         ),
-        measurements=LandmarkMeasurements(
-            time_s=problem.measurement_pose[order].astype(float),
-            range_m=problem.z[order, 0],
-            bearing_rad=problem.z[order, 1],
-            sigma_range_m=problem.sigma[order, 0],
-            sigma_bearing_rad=problem.sigma[order, 1],
-            landmark=ids[problem.measurement_landmark[order]],
+        measurements=LandmarkMeasurements.of(
+            problem.measurement_pose[order].astype(float),
+            problem.z[order],
+            problem.sigma[order],
+            ids[problem.measurement_landmark[order]],
         ),
-        positions=Positions(
-            problem.position_pose[fixes].astype(float),
-            problem.position[fixes],
-            problem.position_covariance[fixes],
-        )
-        if len(fixes)
-        else None,
-        loop_closures=LoopClosures(
-            closed.first.astype(float),
-            closed.second.astype(float),
-            closed.motion,
-            closed.covariance,
-        )
-        if len(closed.first) or not len(problem.z)  # a graph of poses, which may close no loop
-        else None,
+        positions=positions,
+        loop_closures=closures,
         provenance={"times": "pose numbers in place of seconds", **notes},
     )
 

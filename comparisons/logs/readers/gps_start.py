@@ -12,6 +12,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.log import Positions
 from comparisons.logs.odometry import SteeringOdometry
+from comparisons.logs.odometry_noise import added_between
 from graphslam.increments import AckermannGeometry, Stabilisation, ackermann_samples
 
 _LEAST_MOTION_M = 0.5
@@ -115,14 +116,8 @@ class Laid(NamedTuple):
 def lay_fixes(moved: Reckoned, plane: Positions) -> Laid | None:
     """Lay fixes onto the odometry, and spend on that as many of the first as show the heading.
 
-    What they know, less the odometry's noise on the way, is the covariance of the start.
-
-    Args:
-        moved: The odometry from the origin.
-        plane: The fixes, in a plane of any origin and direction.
-
-    Returns:
-        None where no fix would be left.
+    What they know, less the odometry's noise on the way, is the covariance of the start. plane: of
+    any origin and direction. None where no fix would be left.
     """
     spent, start = _spent(moved, plane)
     if start is None:
@@ -172,9 +167,7 @@ def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Arra
     arrived[:, 0, 1], arrived[:, 1, 0] = -heading.imag, heading.imag
     arrived[:, 0, 2], arrived[:, 1, 2] = place.imag, -place.real
     added = arrived @ moved.covariance @ arrived.transpose(0, 2, 1)
-    total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
-    reported = np.column_stack([np.interp(fixes.time_s, moved.time_s, one) for one in total.T])
-    noise = np.diff(reported, axis=0, prepend=np.zeros((1, 9))).reshape(-1, 3, 3)
+    noise = added_between(np.append(moved.time_s[0], fixes.time_s), moved.time_s, added)
     lever = turn * _at(fixes.time_s, moved.time_s, moved.antenna)
     slopes = np.tile(np.eye(2, 3), (len(lever), 1, 1))
     slopes[:, 0, 2], slopes[:, 1, 2] = -lever.imag, lever.real
@@ -190,10 +183,7 @@ def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Arra
 
 
 def _at(wanted_s: Array, time_s: Array, path: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    found: NDArray[np.complex128] = np.interp(wanted_s, time_s, path.real) + 1j * np.interp(
-        wanted_s, time_s, path.imag
-    )
-    return found
+    return np.interp(wanted_s, time_s, path.real) + 1j * np.interp(wanted_s, time_s, path.imag)
 
 
 def east_north(latitude: Array, longitude: Array, altitude: Array) -> Array:
@@ -205,14 +195,9 @@ def east_north(latitude: Array, longitude: Array, altitude: Array) -> Array:
     phi, lam = np.deg2rad(latitude), np.deg2rad(longitude)
     square = _FLATTENING * (2.0 - _FLATTENING)
     normal = _EQUATOR_M / np.sqrt(1.0 - square * np.sin(phi) ** 2)
-    centred = np.stack(
-        (
-            (normal + altitude) * np.cos(phi) * np.cos(lam),
-            (normal + altitude) * np.cos(phi) * np.sin(lam),
-            (normal * (1.0 - square) + altitude) * np.sin(phi),
-        ),
-        axis=1,
-    )
+    x = (normal + altitude) * np.cos(phi) * np.cos(lam)
+    y = (normal + altitude) * np.cos(phi) * np.sin(lam)
+    centred = np.stack((x, y, (normal * (1.0 - square) + altitude) * np.sin(phi)), axis=1)
     moved = centred - centred[0]
     east = np.array((-np.sin(lam[0]), np.cos(lam[0]), 0.0))
     north = np.array(

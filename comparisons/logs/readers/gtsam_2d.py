@@ -133,11 +133,6 @@ def _measurements(seen: Array) -> LandmarkMeasurements:
     pose, landmark, x, y, variance = seen.T
     distance, sigma = np.hypot(x, y), np.sqrt(variance)
     safe = np.where(distance > 0, distance, np.nan)  # a zero range is reported as such
-    return LandmarkMeasurements(
-        time_s=pose,
-        range_m=distance,
-        bearing_rad=np.arctan2(y, x),
-        sigma_range_m=sigma,
-        sigma_bearing_rad=np.where(distance > 0, sigma / safe, 1.0),
-        landmark=landmark.astype(np.int64),
-    )
+    z = np.column_stack((distance, np.arctan2(y, x)))
+    sigmas = np.column_stack((sigma, np.where(distance > 0, sigma / safe, 1.0)))
+    return LandmarkMeasurements.of(pose, z, sigmas, landmark.astype(np.int64))

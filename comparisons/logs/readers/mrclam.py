@@ -86,7 +86,7 @@ def read(path: Path, robot: int) -> Log:
         raise InputError(
             f"{captured.path}: does not cover the start of the odometry, which gives the prior"
         )
-    first = np.array([np.interp(0.0, truth.time_s, truth.pose[:, i]) for i in range(3)])
+    first = truth.at(np.zeros(1))[0]
     return Log(
         name=f"{path.name.lower()}-robot-{robot}",
         format="mrclam",
@@ -107,13 +107,6 @@ def read(path: Path, robot: int) -> Log:
 
 def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMeasurements:
     """All records as recorded, robots included, so that a fault is reported by its line."""
-    count = len(measured)
     within("measurements", "bearing_rad", measured["bearing"], -1.5, 1.5)
-    return LandmarkMeasurements(
-        time_s=since(measured["time"], start),
-        range_m=measured["range"],
-        bearing_rad=measured["bearing"],
-        sigma_range_m=np.ones(count),
-        sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
-        landmark=whole_numbers("measurements", "subject", landmark),
-    )
+    time_s, ids = since(measured["time"], start), whole_numbers("measurements", "subject", landmark)
+    return LandmarkMeasurements.of(time_s, measured.data[:, 2:], (1.0, _SIGMA_BEARING_RAD), ids)

@@ -101,12 +101,7 @@ def read(path: Path) -> Log:
         measurements=measurements,
         scans=scans,
         truth=truth,
-        provenance={
-            "file": path.name,
-            **drive.provenance,
-            **scanned,
-            "passed_over": passed_over,
-        },
+        provenance={"file": path.name, **drive.provenance, **scanned, "passed_over": passed_over},
     )
 
 
@@ -144,14 +139,12 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
     with _locating(path, lambda row: frames[row + 1].at):
         odometry = RelativePoses(time_s[1:], composed.displacement, composed.covariance)
     provenance["odometry"] = f"{len(inside)} CActionRobotMovement2D, covariances of their models"
-    provenance["left_out"] = f"{len(moves) - len(inside)} motions before the first frame or after "
-    provenance["left_out"] += "the last"
+    beyond = f"{len(moves) - len(inside)} motions before the first frame or after the last"
+    provenance["left_out"] = beyond
     return _Drive(time_s, frames, odometry, provenance, first_ticks)
 
 
-def _frame_times(
-    frames: Sequence[stream.Frame],
-) -> tuple[Array, int | None, dict[str, str]]:
+def _frame_times(frames: Sequence[stream.Frame]) -> tuple[Array, int | None, dict[str, str]]:
     """(K,) of the frames; their numbers where their times are missing or do not increase."""
     ticks = [
         next(o.ticks for o in f.observations if isinstance(o, stream.Seen | stream.Sweep))
@@ -160,14 +153,9 @@ def _frame_times(
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
     if all(ticks) and (np.diff(time_s) >= _LEAST_STEP_S).all():
         return time_s, ticks[0], {"time_origin": _when(ticks[0])}
-    return (
-        np.arange(float(len(frames))),
-        None,
-        {
-            "times": "frame numbers in place of seconds, since the file's times do not increase by "
-            f"{_LEAST_STEP_S:g} s from frame to frame"
-        },
-    )
+    why = f"the file's times do not increase by {_LEAST_STEP_S:g} s from frame to frame"
+    numbered = {"times": f"frame numbers in place of seconds, since {why}"}
+    return np.arange(float(len(frames))), None, numbered
 
 
 def _when(ticks: int) -> str:
@@ -179,9 +167,9 @@ def _when(ticks: int) -> str:
 
 def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Drive:
     """Observations by their own times, with the odometry's poses interpolated there."""
-    every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
     moving: dict[int, stream.Odometry] = {}
     seen: dict[int, list[stream.Record]] = {}
+    every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
     for item in every:
         if isinstance(item, stream.Passed):
             continue
@@ -238,16 +226,15 @@ def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
     polar = np.concatenate([item.polar for item in items])
     offset = np.array([item.at for item in items])
     turned = np.array([np.arctan2(item.sensor[1, 0], item.sensor[0, 0]) for item in items])
-    sigma = np.array([item.sigma for item in items])
+    sigma = np.array([item.sigma[:2] for item in items])
     bearing = polar[:, 1] + np.repeat(turned, counts)
+    bearing = np.where(np.abs(bearing) > np.pi, np.angle(np.exp(1j * bearing)), bearing)
     with _locating(path, lambda row: int(np.repeat(offset, counts)[row])):
-        return LandmarkMeasurements(
-            time_s=np.repeat(times, counts),
-            range_m=polar[:, 0],
-            bearing_rad=np.where(np.abs(bearing) > np.pi, np.angle(np.exp(1j * bearing)), bearing),
-            sigma_range_m=np.repeat(sigma[:, 0], counts),
-            sigma_bearing_rad=np.repeat(sigma[:, 1], counts),
-            landmark=np.maximum(np.concatenate([item.landmark for item in items]), NO_LANDMARK),
+        return LandmarkMeasurements.of(
+            np.repeat(times, counts),
+            np.column_stack((polar[:, 0], bearing)),
+            np.repeat(sigma, counts, axis=0),
+            np.maximum(np.concatenate([item.landmark for item in items]), NO_LANDMARK),
         )
 
 

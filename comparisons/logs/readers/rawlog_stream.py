@@ -239,7 +239,6 @@ def _list(known: dict[str, _Known]) -> str:
 
 def _three(stream: _Stream, start: int, version: int) -> Array:
     """x, y, heading of a pose, or x, y, z of a point."""
-    del start, version
     return np.array(stream.numbers("3d"))
 
 
@@ -273,7 +272,6 @@ def _pose_3d(stream: _Stream, start: int, version: int) -> Array:
 
 
 def _matrix(stream: _Stream, start: int, version: int) -> Array:
-    del start, version
     rows, columns = stream.numbers("2I")
     return np.reshape(stream.array("<f8", rows * columns), (rows, columns))
 
@@ -343,19 +341,16 @@ def _thrun(moved: Array, model: tuple[float, ...]) -> Array:
 
 
 def _actions(stream: _Stream, start: int, version: int) -> tuple[Movement, ...]:
-    del start, version
     return tuple(stream.read(_MOVEMENTS) for _ in range(stream.number("I")))
 
 
 def _frame(stream: _Stream, start: int, version: int) -> Frame:
-    del version
     count = stream.number("I")
     return Frame(at=start, observations=tuple(stream.read(_OBSERVATIONS) for _ in range(count)))
 
 
 def _bearing_range(stream: _Stream, start: int, version: int) -> Seen:
     """Least and most range, fields of view, place, time, sigmas, measurements, label."""
-    del version
     stream.numbers("4f")
     sensor, ticks = stream.read(_POSES_3D), stream.number("Q")
     if stream.number("B"):
@@ -420,7 +415,6 @@ def _odometry(stream: _Stream, start: int, version: int) -> Odometry:
 
 def _beacons(stream: _Stream, start: int, version: int) -> Passed:
     """Ranges to beacons, without bearings; where the beacons are may be infinite."""
-    del version
     stream.numbers("3f")
     for _ in range(stream.number("I")):
         stream.read(_BEACONS)
@@ -431,7 +425,6 @@ def _beacons(stream: _Stream, start: int, version: int) -> Passed:
 
 
 def _comment(stream: _Stream, start: int, version: int) -> Passed:
-    del version
     stream.text()
     return Passed(at=start, ticks=stream.number("Q"), name="CObservationComment")
 

@@ -28,30 +28,9 @@ from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
 from comparisons.logs.odometry_noise import reckoned_motion
-from comparisons.logs.readers import ros_points
+from comparisons.logs.readers import ros_bag, ros_points
 from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
-from comparisons.logs.readers.ros_bag import (
-    BOXES,
-    CLOUD,
-    FIX,
-    IMAGE_BOXES,
-    LASER,
-    MARKERS,
-    ODOMETRY,
-    TRANSFORMS,
-    Bag,
-    Topic,
-    open_bag,
-    recognise_bag,
-)
-from comparisons.logs.readers.ros_messages import (
-    Sweep,
-    cloud,
-    frame,
-    rigid_motion,
-    stamp_ns,
-    sweep,
-)
+from comparisons.logs.readers.ros_messages import Sweep, cloud, frame, rigid_motion, stamp_ns, sweep
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Clouds, Mount, Scans
 
@@ -69,7 +48,7 @@ _T = TypeVar("_T")
 class _Stream:
     """A topic's messages that have a time of their own: time_ns (N,), N items, one frame."""
 
-    topic: Topic
+    topic: ros_bag.Topic
     time_ns: Times
     items: list[Any]
     frame: str
@@ -83,7 +62,7 @@ class _Stream:
 
 def recognises(path: Path) -> bool:
     """A bag's file or folder, by its content."""
-    return recognise_bag(path) is not None
+    return ros_bag.recognise_bag(path) is not None
 
 
 def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
@@ -93,25 +72,28 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
     out. Raises InputError naming topic, message, value and expectation, and where the package
     `rosbags` is not installed.
     """
-    with open_bag(path, topics) as bag:
+    with ros_bag.open_bag(path, topics) as bag:
         provenance = {"file": path.name}
         read = {
             "scans": _scan_stream(bag, provenance),
             "clouds": _cloud_stream(bag, provenance),
             "measurements": _point_stream(bag, provenance),
-            "positions": _stream(bag, FIX, ros_points.fix, provenance),
+            "positions": _stream(bag, ros_bag.FIX, ros_points.fix, provenance),
         }
-        moved = _stream(bag, ODOMETRY, ros_points.moved, provenance, lambda m: m.child_frame_id)
+        moved = _stream(
+            bag, ros_bag.ODOMETRY, ros_points.moved, provenance, lambda m: m.child_frame_id
+        )
         transforms = _static_transforms(bag)
     found = {name: stream for name, stream in read.items() if stream is not None}
     if moved is None:  # nothing says where the vehicle was
         for name in ("measurements", "positions"):
             if found.pop(name, None) is not None:
-                provenance[name] = f"left out: no messages of type {ODOMETRY}"
+                provenance[name] = f"left out: no messages of type {ros_bag.ODOMETRY}"
     if not found.keys() - {"positions"}:
         raise InputError(
-            f"{path}: no messages of type {LASER} or {CLOUD}, nor, with odometry, of {BOXES}, "
-            f"expected some ({MARKERS} is read when asked for by --topic)"
+            f"{path}: no messages of type {ros_bag.LASER} or {ros_bag.CLOUD}, nor, with odometry, "
+            f"of {ros_bag.BOXES}, expected some "
+            f"({ros_bag.MARKERS} is read when asked for by --topic)"
         )
     kept, start, time_s = _instants(path, found, moved, provenance)
     base = _base(moved, transforms)
@@ -258,14 +240,7 @@ def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
     numbers = LandmarkNumbers(labels)
     if numbers.by_text:
         where.provenance["labels"] = numbers.text()
-    return LandmarkMeasurements(
-        time_s=where.seconds(stream)[message],
-        range_m=z[:, 0],
-        bearing_rad=z[:, 1],
-        sigma_range_m=sigmas[:, 0],
-        sigma_bearing_rad=sigmas[:, 1],
-        landmark=numbers.of(labels),
-    )
+    return LandmarkMeasurements.of(where.seconds(stream)[message], z, sigmas, numbers.of(labels))
 
 
 def _positions(
@@ -307,7 +282,7 @@ def _positions(
 
 
 def _stream(
-    bag: Bag,
+    bag: ros_bag.Bag,
     kind: str,
     convert: Callable[[Any, str], _T | None],
     provenance: dict[str, str],
@@ -365,7 +340,7 @@ def _stream(
     )
 
 
-def _scan_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
+def _scan_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:
     """LaserScan messages, whose beams must not change."""
     first: list[Sweep] = []
 
@@ -384,24 +359,24 @@ def _scan_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return replace(found, angle_rad=expected)  # one array for all of them: bags are long
 
-    return _stream(bag, LASER, convert, provenance)
+    return _stream(bag, ros_bag.LASER, convert, provenance)
 
 
-def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
+def _point_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:
     """Detections, or markers that were asked for; what was asked for comes first."""
     chosen = [
         kind
-        for kind in (MARKERS, BOXES, IMAGE_BOXES)
+        for kind in (ros_bag.MARKERS, ros_bag.BOXES, ros_bag.IMAGE_BOXES)
         if (topics := bag.topics(kind)) and bag.is_chosen(topics[0])
     ]
-    for kind in (*chosen, BOXES):
+    for kind in (*chosen, ros_bag.BOXES):
         if bag.topics(kind) and not bag.knows(kind):
             fault = f"{bag.topics(kind)[0].name}: the bag holds no usable definition of {kind}"
             if kind in chosen:
                 raise InputError(f"{bag.path}: {fault}, expected one, as .mcap files have it")
             provenance["measurements"] = f"left out: {fault}"
             return None
-        convert = ros_points.markers if kind == MARKERS else ros_points.detections
+        convert = ros_points.markers if kind == ros_bag.MARKERS else ros_points.detections
         found = _stream(bag, kind, convert, provenance)
         if found is not None:
             return found
@@ -412,7 +387,7 @@ def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
     return None
 
 
-def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
+def _cloud_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:
     """PointCloud2 messages, up to what fits into memory."""
     total = 0
 
@@ -426,7 +401,7 @@ def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return found
 
-    return _stream(bag, CLOUD, convert, provenance)
+    return _stream(bag, ros_bag.CLOUD, convert, provenance)
 
 
 def _scans(stream: _Stream, where: _Frame) -> Scans:
@@ -439,14 +414,13 @@ def _scans(stream: _Stream, where: _Frame) -> Scans:
             f"{stream.topic.name}: mounted at a tilt of {tilt:.1f} degrees, expected at most 5"
         )
     sweeps: list[Sweep] = stream.items
+    heading = np.arctan2(place[1, 0], place[0, 0])
     return Scans(
         time_s=where.seconds(stream),
         angle_rad=np.sign(level) * sweeps[0].angle_rad,
         range_m=np.array([s.range_m for s in sweeps]),
         intensity=np.array([s.intensity for s in sweeps]),
-        mount=Mount(
-            float(place[0, 3]), float(place[1, 3]), float(np.arctan2(place[1, 0], place[0, 0]))
-        ),
+        mount=Mount(*map(float, (place[0, 3], place[1, 3], heading))),
         beam_s=float(np.median([s.beam_s for s in sweeps])),
     )
 
@@ -464,10 +438,10 @@ def _clouds(stream: _Stream, where: _Frame) -> Clouds:
     )
 
 
-def _static_transforms(bag: Bag) -> dict[str, tuple[str, Array]]:
+def _static_transforms(bag: ros_bag.Bag) -> dict[str, tuple[str, Array]]:
     """Each frame's parent, and the motion (4, 4) from the frame into the parent's."""
     found: dict[str, tuple[str, Array]] = {}
-    for topic in bag.topics(TRANSFORMS):
+    for topic in bag.topics(ros_bag.TRANSFORMS):
         if frame(topic.name).endswith("tf_static"):
             for place, _, message in bag.messages(topic):
                 for entry in message.transforms:

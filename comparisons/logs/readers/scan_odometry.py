@@ -11,12 +11,4 @@ PRIOR_SIGMA = 1e-6
 
 def no_measurements() -> LandmarkMeasurements:
     """What a log of scans alone brings."""
-    none = np.zeros(0)
-    return LandmarkMeasurements(
-        time_s=none,
-        range_m=none,
-        bearing_rad=none,
-        sigma_range_m=none,
-        sigma_bearing_rad=none,
-        landmark=np.zeros(0, dtype=np.int64),
-    )
+    return LandmarkMeasurements.of(np.zeros(0), np.zeros((0, 2)), np.zeros(2))

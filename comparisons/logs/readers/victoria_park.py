@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log, Positions, Prior
+from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.table import Table
 
@@ -40,17 +40,13 @@ def read(path: Path) -> Log:
     for table in (seen, inputs):
         if not len(table):
             raise InputError(f"{table.path}: holds no records")
-    count = len(seen)
     with inputs.locating():
         odometry = SteeringOdometry(inputs["time"], inputs["speed"], inputs["steering"], UTE, NOISE)
     with seen.locating():
-        measurements = LandmarkMeasurements(
-            time_s=seen["time"],
-            range_m=seen["range"],
-            bearing_rad=seen["bearing"] - STRAIGHT_AHEAD_RAD,
-            sigma_range_m=np.full(count, _SIGMA_RANGE_M),
-            sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
-            landmark=np.full(count, NO_LANDMARK),
+        measurements = LandmarkMeasurements.of(
+            seen["time"],
+            np.column_stack((seen["range"], seen["bearing"] - STRAIGHT_AHEAD_RAD)),
+            (_SIGMA_RANGE_M, _SIGMA_BEARING_RAD),
             diameter_m=seen["diameter"],
             needs_confirmation=True,
         )

@@ -16,6 +16,7 @@ from comparisons.arrays import Array
 from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
+from comparisons.logs.simulate.ray_casting import blocks
 from comparisons.logs.simulate.worlds import World, nieto_loop
 
 PAIRS = 2_000_000
@@ -141,25 +142,13 @@ def point_measurements(
             None if hidden is None else hidden[scans],
             scans.start,
         )
-        for scans in _blocks(len(pose), landmark.shape[-2])
+        for scans in blocks(len(pose), landmark.shape[-2], PAIRS)
     ]
     scan, which, distance, bearing = (np.concatenate(column) for column in zip(*parts, strict=True))
-    count = len(scan)
-    noise, scale = drive.added_scale * rng.standard_normal((count, 2)), drive.noise_scale
-    return LandmarkMeasurements(
-        time_s=time[scan],
-        range_m=distance + drive.sigma_range_m * noise[:, 0],
-        bearing_rad=bearing + drive.sigma_bearing_rad * noise[:, 1],
-        sigma_range_m=np.full(count, scale * drive.sigma_range_m),
-        sigma_bearing_rad=np.full(count, scale * drive.sigma_bearing_rad),
-        landmark=which,
-    )
-
-
-def _blocks(scans: int, landmarks: int) -> list[slice]:
-    """Scans (N,) in blocks of at most PAIRS pairs with landmarks, one block at least."""
-    size = max(1, PAIRS // max(1, landmarks))
-    return [slice(first, min(first + size, scans)) for first in range(0, max(scans, 1), size)]
+    sigma = np.array((drive.sigma_range_m, drive.sigma_bearing_rad))
+    noise = drive.added_scale * rng.standard_normal((len(scan), 2))
+    z = np.column_stack((distance, bearing)) + sigma * noise
+    return LandmarkMeasurements.of(time[scan], z, drive.noise_scale * sigma, which)
 
 
 def _in_view(
@@ -208,13 +197,9 @@ def pursue(
         curvature = math.tan(steering) / v.wheelbase_m
         cos, sin = math.cos(heading), math.sin(heading)
         a, b, ds = v.sensor_forward_m, v.sensor_left_m, dt * speed_mps
-        pose[k + 1] = pose[k] + ds * np.array(
-            (
-                cos - curvature * (a * sin + b * cos),
-                sin + curvature * (a * cos - b * sin),
-                curvature,
-            )
-        )
+        east = cos - curvature * (a * sin + b * cos)
+        north = sin + curvature * (a * cos - b * sin)
+        pose[k + 1] = pose[k] + ds * np.array((east, north, curvature))
         heading = float(pose[k + 1, 2])
         # Where the axle's middle is, seen from the laser, for the pursuit.
         x = float(pose[k + 1, 0] - a * math.cos(heading) + b * math.sin(heading))

@@ -109,8 +109,7 @@ def cast_rings(
         down_m = (height_m - disc_top) / -slope
         met = (discs.enter_m < down_m) & (down_m < discs.leave_m)
         np.minimum.at(nearest, discs.beam[met], down_m[met])
-    ranges: Array = way / np.cos(elevation_rad)
-    return ranges
+    return way / np.cos(elevation_rad)
 
 
 def _walls(angle_rad: Array, pose: Array, solids: Solids) -> _Crossings:
@@ -121,7 +120,7 @@ def _walls(angle_rad: Array, pose: Array, solids: Solids) -> _Crossings:
     """
     x1, y1, x2, y2 = solids.segment.T
     parts = []
-    for rows in _chunks(len(angle_rad), len(x1)):
+    for rows in blocks(len(angle_rad), len(x1), _PAIRS):
         direction = pose[rows, 2] + angle_rad[rows]
         cos, sin = np.cos(direction)[:, None], np.sin(direction)[:, None]
         x, y = pose[rows, 0, None], pose[rows, 1, None]
@@ -141,7 +140,7 @@ def _walls(angle_rad: Array, pose: Array, solids: Solids) -> _Crossings:
 def _discs(angle_rad: Array, pose: Array, solids: Solids) -> _Crossings:
     """Every crossing of beams and discs, ahead of the sensor."""
     parts = []
-    for rows in _chunks(len(angle_rad), solids.disc.shape[-2]):
+    for rows in blocks(len(angle_rad), solids.disc.shape[-2], _PAIRS):
         disc = solids.disc[rows] if solids.disc.ndim == 3 else solids.disc
         direction = pose[rows, 2] + angle_rad[rows]
         cos, sin = np.cos(direction)[:, None], np.sin(direction)[:, None]
@@ -156,6 +155,7 @@ def _discs(angle_rad: Array, pose: Array, solids: Solids) -> _Crossings:
     return _Crossings(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _chunks(beams: int, things: int) -> list[slice]:
-    size = max(1, _PAIRS // max(things, 1))
-    return [slice(i, min(i + size, beams)) for i in range(0, max(beams, 1), size)]
+def blocks(count: int, things: int, pairs: int) -> list[slice]:
+    """So many rows in blocks of at most so many pairs with things, one block at least."""
+    size = max(1, pairs // max(things, 1))
+    return [slice(first, min(first + size, count)) for first in range(0, max(count, 1), size)]

@@ -102,8 +102,7 @@ def dense_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
         sigma_bearing_rad=math.radians(1.5),
         max_range_m=25.0,
     )
-    source = "Nieto 2005, section 3.9, Fig. 3.17, Table 3.1; the places are ours"
-    return ScanExperiment("scan-loop", source, world, drive, _scanner(drive))
+    return _experiment("scan-loop", "section 3.9, Fig. 3.17, Table 3.1", world, drive)
 
 
 def dense_slam_fine(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
@@ -137,8 +136,7 @@ def occupancy(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
         sigma_bearing_rad=math.radians(1.0),
         max_range_m=25.0,
     )
-    source = "Nieto 2005, section 4.1.3, Fig. 4.2, Table 4.1; the places are ours"
-    return ScanExperiment("occupancy-loop", source, world, drive, _scanner(drive))
+    return _experiment("occupancy-loop", "section 4.1.3, Fig. 4.2, Table 4.1", world, drive)
 
 
 def scan_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
@@ -156,8 +154,7 @@ def scan_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
         sigma_bearing_rad=math.radians(1.0),
         max_range_m=35.0,
     )
-    source = "Nieto 2005, section 5.6, Fig. 5.8, Table 5.1; the places are ours"
-    return ScanExperiment("scan-slam", source, world, drive, _scanner(drive))
+    return _experiment("scan-slam", "section 5.6, Fig. 5.8, Table 5.1", world, drive)
 
 
 def scan_slam_with_maps(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
@@ -165,8 +162,7 @@ def scan_slam_with_maps(loops: int = 1, noise_scale: float = 1.0) -> ScanExperim
     drive = scan_slam(loops, noise_scale).drive
     world = dense_scan_slam_world()
     drive = replace(drive, loop_s=world.loop_m / drive.speed_mps)
-    source = "Nieto 2005, section 6.2.1, Fig. 6.7, Table 5.1; the places are ours"
-    return ScanExperiment("scan-slam-maps", source, world, drive, _scanner(drive))
+    return _experiment("scan-slam-maps", "section 6.2.1, Fig. 6.7, Table 5.1", world, drive)
 
 
 def dynamic_lanes(
@@ -189,8 +185,7 @@ def dynamic_lanes(
         max_range_m=25.0,
         noise_scale=noise_scale,
     )
-    source = "Nieto 2005, section 6.3.3, Fig. 6.9; the places are ours"
-    return ScanExperiment("dynamic-lanes", source, world, drive, _scanner(drive))
+    return _experiment("dynamic-lanes", "section 6.3.3, Fig. 6.9", world, drive)
 
 
 def dynamic_places(
@@ -212,8 +207,7 @@ def dynamic_places(
         max_range_m=25.0,
         extra_s=0.0,
     )
-    source = "Nieto 2005, section 6.3.3, Fig. 6.10; the places are ours"
-    return ScanExperiment("dynamic-places", source, world, drive, _scanner(drive))
+    return _experiment("dynamic-places", "section 6.3.3, Fig. 6.10", world, drive)
 
 
 def parked_cars() -> ScanExperiment:
@@ -229,8 +223,8 @@ def parked_cars() -> ScanExperiment:
         sigma_range_m=0.10,
         sigma_bearing_rad=math.radians(0.5),
     )
-    source = "Nieto 2005, section 6.5, Fig. 6.19; the places and the bearing's sigma are ours"
-    return ScanExperiment("parked-cars", source, world, drive, _scanner(drive))
+    ours = "the places and the bearing's sigma"
+    return _experiment("parked-cars", "section 6.5, Fig. 6.19", world, drive, ours)
 
 
 def _drive(world: ScanWorld, loops: int, noise_scale: float) -> Drive:
@@ -247,13 +241,16 @@ def _drive(world: ScanWorld, loops: int, noise_scale: float) -> Drive:
     )
 
 
-def _scanner(drive: Drive) -> Planar:
-    """A laser with the tables' range and bearing sigmas, every beam for itself."""
-    return Planar(
+def _experiment(
+    name: str, where: str, world: ScanWorld, drive: Drive, ours: str = "the places"
+) -> ScanExperiment:
+    """A drive with a laser of the tables' range and bearing sigmas, every beam for itself."""
+    scanner = Planar(
         max_range_m=drive.max_range_m,
         sigma_range_m=drive.sigma_range_m,
         sigma_beam_rad=drive.sigma_bearing_rad,
     )
+    return ScanExperiment(name, f"Nieto 2005, {where}; {ours} are ours", world, drive, scanner)
 
 
 def _hidden(world: ScanWorld, drive: Drive, pose: Array, landmark: Array) -> NDArray[np.bool_]:

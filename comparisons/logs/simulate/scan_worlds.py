@@ -32,16 +32,13 @@ class Moving(Protocol):
     @property
     def diameter_m(self) -> float:
         """Across."""
-        ...
 
     @property
     def height_m(self) -> float:
         """Over the ground."""
-        ...
 
     def place(self, time_s: Array) -> Array:
         """(N, 2) at times (N,), NaN while it is nowhere."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +64,7 @@ class Mover:
         period = 2.0 * length if self.back else length
         gone = np.mod(self.speed_mps * (time_s + self.lead_s), period)
         part = np.minimum(gone, 2.0 * length - gone) / length
-        place: Array = start + part[:, None] * way
-        return place
+        return start + part[:, None] * way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,26 +129,14 @@ def dense_slam_world() -> ScanWorld:
     Driven counter-clockwise from the origin, so that the left is reached last. The landmarks
     are thin poles, which the scanner sees as well.
     """
-    return with_landmarks(
-        _PATH_OF_100_BY_80,
-        (
-            ("bay", 4, 27, 22, 14, 10),
-            ("ell", -17, 24, 14, 14, 80),
-            ("cross", 27, 26, 12, 12, 20),
-            ("box", -13, 45, 9, 5, -15),
-            ("wedge", 6, 45, 10, 8, 5),
-            ("hexagon", 24, 42, 9, 8, 0),
-            ("wedge", -27, -5, 16, 10, 20),
-            ("box", 8, -9, 14, 3, 3),
-            ("drum", 34, -5, 6, 6, 0),
-            ("box", 52, 20, 3, 20, -5),
-            ("ell", 46, 52, 10, 12, 200),
-            ("trapezoid", 16, 66, 14, 6, 4),
-            ("box", -10, 66, 16, 4, -3),
-            ("hexagon", -40, 58, 10, 9, 15),
-            ("box", -45, 26, 3, 18, 6),
-        ),
-    )
+    objects: tuple[PlacedShape, ...] = (
+        ("bay", 4, 27, 22, 14, 10), ("ell", -17, 24, 14, 14, 80), ("cross", 27, 26, 12, 12, 20),
+        ("box", -13, 45, 9, 5, -15), ("wedge", 6, 45, 10, 8, 5), ("hexagon", 24, 42, 9, 8, 0),
+        ("wedge", -27, -5, 16, 10, 20), ("box", 8, -9, 14, 3, 3), ("drum", 34, -5, 6, 6, 0),
+        ("box", 52, 20, 3, 20, -5), ("ell", 46, 52, 10, 12, 200), ("trapezoid", 16, 66, 14, 6, 4),
+        ("box", -10, 66, 16, 4, -3), ("hexagon", -40, 58, 10, 9, 15), ("box", -45, 26, 3, 18, 6),
+    )  # fmt: skip
+    return with_landmarks(_PATH_OF_100_BY_80, objects)
 
 
 def occupancy_world() -> ScanWorld:
@@ -161,25 +145,14 @@ def occupancy_world() -> ScanWorld:
     Three objects stand at the top of the middle. The one at the bottom left is seen from one
     side at the start and from the other at the end.
     """
-    return with_landmarks(
-        _PATH_OF_100_BY_80,
-        (
-            ("box", -14, 43, 10, 7, 0),
-            ("drum", 5, 45, 8, 8, 0),
-            ("wedge", 24, 42, 10, 9, 180),
-            ("bay", -17, 14, 14, 12, 20),
-            ("cross", 8, 20, 13, 13, 0),
-            ("ell", 31, 20, 11, 13, 90),
-            ("hexagon", 30, -6, 7, 7, 0),
-            ("box", 2, -9, 18, 3, 0),
-            ("wedge", -33, -8, 10, 8, 140),
-            ("trapezoid", 52, 28, 16, 5, 90),
-            ("box", 44, 55, 12, 8, -40),
-            ("ell", 4, 66, 12, 7, 180),
-            ("hexagon", -30, 63, 10, 8, 0),
-            ("box", -46, 34, 4, 22, 0),
-        ),
-    )
+    objects: tuple[PlacedShape, ...] = (
+        ("box", -14, 43, 10, 7, 0), ("drum", 5, 45, 8, 8, 0), ("wedge", 24, 42, 10, 9, 180),
+        ("bay", -17, 14, 14, 12, 20), ("cross", 8, 20, 13, 13, 0), ("ell", 31, 20, 11, 13, 90),
+        ("hexagon", 30, -6, 7, 7, 0), ("box", 2, -9, 18, 3, 0), ("wedge", -33, -8, 10, 8, 140),
+        ("trapezoid", 52, 28, 16, 5, 90), ("box", 44, 55, 12, 8, -40), ("ell", 4, 66, 12, 7, 180),
+        ("hexagon", -30, 63, 10, 8, 0), ("box", -46, 34, 4, 22, 0),
+    )  # fmt: skip
+    return with_landmarks(_PATH_OF_100_BY_80, objects)
 
 
 def dense_scan_slam_world() -> ScanWorld:

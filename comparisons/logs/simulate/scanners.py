@@ -23,10 +23,6 @@ def half_degrees() -> Array:
     return np.deg2rad(np.linspace(-90.0, 90.0, 361))
 
 
-def _vlp_16() -> Array:
-    return np.deg2rad(np.linspace(-15.0, 15.0, 16))
-
-
 @dataclass(frozen=True, kw_only=True)
 class Planar:
     """A planar laser; the defaults are the angles of the Sick of Nieto 2005, Appendix A.
@@ -47,7 +43,6 @@ class Planar:
     mount: Mount = field(default_factory=Mount)
 
     def __post_init__(self) -> None:
-        """Check the numbers. Raises InputError."""
         _check(self)
 
     @property
@@ -90,7 +85,7 @@ class Rings:
     max_range_m: float = 40.0
     sigma_range_m: float = 0.03
     sigma_beam_rad: float = math.radians(0.1)
-    elevation_rad: Array = field(default_factory=_vlp_16)
+    elevation_rad: Array = field(default_factory=lambda: np.deg2rad(np.linspace(-15.0, 15.0, 16)))
     azimuths: int = 450
     height_m: float = 1.8
     min_range_m: float = 1.0
@@ -99,7 +94,6 @@ class Rings:
     mount: Mount = field(default_factory=Mount)
 
     def __post_init__(self) -> None:
-        """Check the numbers. Raises InputError."""
         _check(self)
 
     def record(
@@ -133,14 +127,10 @@ class Rings:
         """(A, R, 3) forward, left and up of the vehicle, from ranges (A, R)."""
         direction = self.mount.heading_rad + azimuth[:, None]
         level = way * np.cos(self.elevation_rad)
-        return np.stack(
-            (
-                self.mount.forward_m + level * np.cos(direction),
-                self.mount.left_m + level * np.sin(direction),
-                self.height_m + way * np.sin(self.elevation_rad),
-            ),
-            axis=-1,
-        )
+        ahead = self.mount.forward_m + level * np.cos(direction)
+        left = self.mount.left_m + level * np.sin(direction)
+        up = self.height_m + way * np.sin(self.elevation_rad)
+        return np.stack((ahead, left, up), axis=-1)
 
 
 def _check(sensor: Planar | Rings) -> None:
@@ -163,20 +153,15 @@ def _measured(
     noisy = ranges + scale * sensor.sigma_range_m * rng.standard_normal(ranges.shape)
     seen = (ranges >= sensor.min_range_m) & (ranges <= sensor.max_range_m) & (noisy > 0.0)
     seen &= rng.random(ranges.shape) >= sensor.dropout
-    reported: Array = np.where(seen, noisy, np.nan)
-    return reported
+    return np.where(seen, noisy, np.nan)
 
 
 def _mounted(pose: Array, mount: Mount) -> Array:
     """Poses (B, 3) of a scanner on vehicles at poses (B, 3)."""
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    return np.column_stack(
-        (
-            pose[:, 0] + cos * mount.forward_m - sin * mount.left_m,
-            pose[:, 1] + sin * mount.forward_m + cos * mount.left_m,
-            pose[:, 2] + mount.heading_rad,
-        )
-    )
+    x = pose[:, 0] + cos * mount.forward_m - sin * mount.left_m
+    y = pose[:, 1] + sin * mount.forward_m + cos * mount.left_m
+    return np.column_stack((x, y, pose[:, 2] + mount.heading_rad))
 
 
 def _near(solids: Solids, pose: Array, reach_m: float) -> Solids:

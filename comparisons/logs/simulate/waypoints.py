@@ -16,14 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.logs.log import (
-    LandmarkMeasurements,
-    Log,
-    Poses,
-    Positions,
-    Prior,
-    Truth,
-)
+from comparisons.logs.log import LandmarkMeasurements, Log, Poses, Positions, Prior, Truth
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
 from comparisons.logs.simulate.drive import exact_landmarks
@@ -36,19 +29,15 @@ class Navigator(Protocol):
 
     def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
         """One sample of odometry, as in RelativePoses, and where it truly led (3,)."""
-        ...
 
     def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
         """Measurements of one instant: range and bearing (m, 2) with sigmas, ids (m,)."""
-        ...
 
     def fixed(self, position: Array, covariance: Array) -> None:
         """An absolute position (2,) with covariance (2, 2)."""
-        ...
 
     def pose(self) -> Array:
         """(3,) where it believes to be."""
-        ...
 
 
 class TrueNavigator:
@@ -73,11 +62,7 @@ class TrueNavigator:
         return self._pose
 
 
-def _waypoints() -> Array:
-    return np.array(
-        [(12, 4), (22, 14), (34, 12), (40, 26), (28, 34), (14, 30), (4, 38), (-6, 24), (2, 12)],
-        dtype=float,
-    )
+_COURSE = ((12, 4), (22, 14), (34, 12), (40, 26), (28, 34), (14, 30), (4, 38), (-6, 24), (2, 12))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +76,7 @@ class WaypointRun:
     states its sigmas all the same.
     """
 
-    waypoint: Array = field(default_factory=_waypoints)
+    waypoint: Array = field(default_factory=lambda: np.array(_COURSE, dtype=float))
     obstacles: int = 45
     speed_mps: float = 1.0
     most_turn_radps: float = math.radians(60.0)
@@ -168,14 +153,7 @@ def simulate(
         format="simulated",
         prior=Prior(0.0, np.zeros(3), stated * _PRIOR * np.eye(3)),
         odometry=RelativePoses(time_s[1:], np.array(moves), np.array(spreads)),
-        measurements=LandmarkMeasurements(
-            time_s=stamp,
-            range_m=z[:, 0],
-            bearing_rad=z[:, 1],
-            sigma_range_m=sigma[:, 0],
-            sigma_bearing_rad=sigma[:, 1],
-            landmark=landmark,
-        ),
+        measurements=LandmarkMeasurements.of(stamp, z, sigma, landmark),
         positions=Positions(
             np.array([t for t, _ in fixes]),
             np.array([fix for _, fix in fixes]).reshape(-1, 2),
@@ -187,10 +165,7 @@ def simulate(
             range_m=np.array([r for _, r in scans]),
             intensity=np.zeros((len(scans), len(_BEAMS))),
         ),
-        truth=Truth(
-            Poses(time_s, np.array(poses)),
-            exact_landmarks(place),
-        ),
+        truth=Truth(Poses(time_s, np.array(poses)), exact_landmarks(place)),
         provenance={
             "source": "Misono 2007, section 4.1; the course is ours",
             "waypoints": str(len(run.waypoint)),
@@ -264,5 +239,4 @@ def _scan(
     discs = Solids(disc=np.column_stack((place, diameter)))
     nearest = cast(_BEAMS, pose, discs)
     nearest = np.where(nearest <= run.max_range_m, nearest, np.nan)
-    ranges: Array = nearest + run.added_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))
-    return ranges
+    return nearest + run.added_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,16 +18,10 @@ UNCHANGED: Line = (1.0, 0.0)
 
 
 def driven(log: Log, speed: Line = UNCHANGED, turn: Line = UNCHANGED) -> Log:
-    """Return the log with other speeds and turns.
+    """Return the log with other speeds and turns, its noise unchanged.
 
-    Args:
-        log: With any odometry.
-        speed: Of the speed [m/s], or of the way between two poses [m].
-        turn: Of the steering angle [rad], the yaw rate [rad/s], or the turn between two poses
-            [rad].
-
-    Returns:
-        The log, its noise unchanged.
+    speed: of the speed [m/s], or of the way between two poses [m]. turn: of the steering angle
+    [rad], the yaw rate [rad/s], or the turn between two poses [rad].
     """
     return controlled(log, lambda v: speed[0] * v + speed[1], lambda w: turn[0] * w + turn[1])
 
@@ -34,37 +29,22 @@ def driven(log: Log, speed: Line = UNCHANGED, turn: Line = UNCHANGED) -> Log:
 def controlled(log: Log, speed: Callable[[Array], Array], turn: Callable[[Array], Array]) -> Log:
     """Return the log with functions of all speeds and turns (N,), as of `driven`.
 
-    Args:
-        log: With any odometry.
-        speed: Of way (N, 2) where the log has motions between poses.
-        turn: Of the turns.
-
-    Returns:
-        The log, its noise unchanged.
+    speed: of the way (N, 2) where the log has motions between poses.
     """
     odometry = log.odometry
     if isinstance(odometry, RelativePoses):
         way, turned = odometry.displacement[:, :2], odometry.displacement[:, 2]
         displacement = np.column_stack((speed(way), turn(turned)))
         return replace(log, odometry=replace(odometry, displacement=displacement))
-    moved = replace(odometry, speed_mps=speed(odometry.speed_mps))
-    if isinstance(moved, SteeringOdometry):
-        moved = replace(moved, steering_rad=turn(moved.steering_rad))
-    else:
-        moved = replace(moved, yaw_rate_radps=turn(moved.yaw_rate_radps))
-    return replace(log, odometry=moved)
+    name = "steering_rad" if isinstance(odometry, SteeringOdometry) else "yaw_rate_radps"
+    changed: dict[str, Any] = {name: turn(getattr(odometry, name))}
+    return replace(log, odometry=replace(odometry, speed_mps=speed(odometry.speed_mps), **changed))
 
 
 def sensed(log: Log, range_: Line = UNCHANGED, bearing: Line = UNCHANGED) -> Log:
-    """Return the log with other ranges and bearings.
+    """Return the log with other ranges and bearings, its noise unchanged.
 
-    Args:
-        log: With measurements of landmarks.
-        range_: Of the range [m], which stays positive.
-        bearing: Of the bearing [rad], which is wrapped.
-
-    Returns:
-        The log, its noise unchanged.
+    range_: of the range [m], which stays positive. bearing: of the bearing [rad], which is wrapped.
     """
     seen = log.measurements
     range_m = np.maximum(range_[0] * seen.range_m + range_[1], 1e-3)
@@ -75,12 +55,7 @@ def sensed(log: Log, range_: Line = UNCHANGED, bearing: Line = UNCHANGED) -> Log
 def delayed(log: Log, delay_s: float) -> Log:
     """Return the log with measurements that come later, within the odometry's time.
 
-    Args:
-        log: With measurements of landmarks.
-        delay_s: By which, negative for earlier.
-
-    Returns:
-        The log.
+    delay_s: negative for earlier.
     """
     first_s, last_s = log.prior.time_s, float(log.odometry.time_s[-1])
     time_s = np.clip(log.measurements.time_s + delay_s, first_s, last_s)

@@ -12,9 +12,7 @@ from comparisons.arrays import Array
 from comparisons.logs.log import Log
 from comparisons.logs.stamps import resolved
 
-_STREAMS = (
-    "odometry", "measurements", "positions", "known_measurements", "scans", "clouds"
-)  # fmt: skip
+_STREAMS = ("odometry", "measurements", "positions", "known_measurements", "scans", "clouds")
 
 
 def file_start(log: Log) -> Decimal:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.logs.log import LandmarkMeasurements, Log
+from comparisons.logs.log import Log
 
 SURVEYED = 10**9
 """Added to a surveyed landmark's id, so that it meets no other landmark's."""
@@ -22,15 +23,12 @@ def join_known_measurements(log: Log) -> Log:
     seen = log.measurements
     order = np.argsort(np.concatenate((seen.time_s, known.time_s)), kind="stable")
     raised = replace(known, landmark=known.landmark + SURVEYED)
-    columns = {
+    columns: dict[str, Any] = {
         name: np.concatenate((value, getattr(raised, name)))[order]
         for name, value in vars(seen).items()
         if isinstance(value, np.ndarray)
     }
-    joined = LandmarkMeasurements(
-        **columns, label_gate=seen.label_gate, needs_confirmation=seen.needs_confirmation
-    )
-    return replace(log, measurements=joined, known_measurements=None)
+    return replace(log, measurements=replace(seen, **columns), known_measurements=None)
 
 
 def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
@@ -42,18 +40,14 @@ def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
     table = log.known_landmarks
     if table is None:
         return {}, np.zeros((0, 2)), np.zeros((0, 2, 2))
-    landmark_indices = {
-        SURVEYED + i: landmark_index for landmark_index, i in enumerate(table.id.tolist())
-    }
-    return landmark_indices, table.position_m, table.covariance + 1e-8 * np.eye(2)
+    raised = {SURVEYED + i: row for row, i in enumerate(table.id.tolist())}
+    return raised, table.position_m, table.covariance + 1e-8 * np.eye(2)
 
 
 def indices_by_label(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Landmark indices (M,) of the measurements and ids (L,), surveyed landmarks first."""
-    landmark_indices, label = dict(surveyed(log)[0]), log.measurements.landmark
+    index_of, label = surveyed(log)[0], log.measurements.landmark
     for key in label[label >= 0].tolist():
-        landmark_indices.setdefault(key, len(landmark_indices))
-    landmark_index = np.array(
-        [landmark_indices.get(key, -1) for key in label.tolist()], dtype=np.intp
-    )
-    return landmark_index, np.array(list(landmark_indices), dtype=np.int64)
+        index_of.setdefault(key, len(index_of))
+    landmark_index = np.array([index_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
+    return landmark_index, np.array(list(index_of), dtype=np.int64)

@@ -23,13 +23,13 @@ class SensorSigmas:
     bearing_rad: float = float(np.deg2rad(1.5))
 
 
-def with_published_sigmas(log: Log, table: SensorSigmas | None = None) -> Log:
+def with_published_sigmas(log: Log) -> Log:
     """Return a log of the UTE with the table's sigmas; any other log as it is.
 
     Stabilisation noise, prior and positions keep theirs: the table has none. Both estimators read
     the one log. Source: Nieto 2005, Table A.1.
     """
-    table = table or SensorSigmas()
+    table = SensorSigmas()
     if log.format not in FORMATS or not isinstance(log.odometry, SteeringOdometry):
         return log
     noise = replace(
