@@ -21,17 +21,9 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log, Positions
@@ -223,18 +215,13 @@ _LAST = 5
 
 def claims_7(found: Covered) -> Claims:
     """GPS fails where trees stand."""
-    yield at_least(
+    text = (
         f"GPS is missing where trees are dense (mean number within {NEAR_M:.0f} m where it is "
-        "missing, over where it is not)",
-        found.around[~found.heard].mean() / found.around[found.heard].mean(),
-        1.0,
+        "missing, over where it is not)"
     )
-    yield at_least(
-        "it is missing on a good part of the way (share of the epochs)",
-        np.mean(~found.heard),
-        0.1,
-        own=True,
-    )
+    yield at_least(text, found.around[~found.heard].mean() / found.around[found.heard].mean(), 1.0)
+    text = "it is missing on a good part of the way (share of the epochs)"
+    yield at_least(text, np.mean(~found.heard), 0.1, own=True)
 
 
 def claims_8(found: Aided) -> Claims:
@@ -244,55 +231,38 @@ def claims_8(found: Aided) -> Claims:
     early = int(np.searchsorted(found.time_s, found.time_s[0] + _EARLY_S))
     peak = int(np.argmax(alone))
     landmarks = np.square(found.landmark_sigma_m[-1] / found.landmark_sigma_m[first - 1])
-    yield at_least(
+    text = (
         f"the vehicle's deviation grows while exploring (median before GPS over that after "
-        f"{_EARLY_S:.0f} s)",
-        np.median(sigma[early:first]) / sigma[early],
-        1.0,
+        f"{_EARLY_S:.0f} s)"
     )
-    yield at_most(
-        "it falls on revisiting a known place (without GPS: least after its peak over the peak)",
-        alone[peak:].min() / alone[peak],
-        0.9,
-        own=True,
-    )
-    yield at_most(
+    yield at_least(text, np.median(sigma[early:first]) / sigma[early], 1.0)
+    text = "it falls on revisiting a known place (without GPS: least after its peak over the peak)"
+    yield at_most(text, alone[peak:].min() / alone[peak], 0.9, own=True)
+    why = elsewhere("one position of this GPS weighs little against what SLAM knows of itself")
+    text = (
         "GPS reduces the vehicle's covariance significantly (variance after the first position "
-        "over that before)",
-        np.square(sigma[first] / sigma[first - 1]),
-        0.5,
-        why=elsewhere("one position of this GPS weighs little against what SLAM knows of itself"),
-        own=True,
+        "over that before)"
     )
-    yield at_most(
+    yield at_most(text, np.square(sigma[first] / sigma[first - 1]), 0.5, why=why, own=True)
+    text = (
         f"and the landmarks' within {passed_s:.0f} s (median of those shown, variance "
-        "after over before)",
-        np.median(landmarks),
-        0.5,
-        own=True,
+        "after over before)"
     )
+    yield at_most(text, np.median(landmarks), 0.5, own=True)
 
 
 def claims_9(found: Aided) -> Claims:
     """GPS comes as a surprise and is taken in step by step."""
     moves = np.linalg.norm(np.diff(found.parts, axis=0), axis=1)
     off = found.off_fix_m()
-    yield at_least(
-        "when GPS arrives it differs significantly from SLAM (first difference over GPS sigma)",
-        found.surprise_m / found.sigma_fix_m,
-        3.0,
-        why=elsewhere(
-            f"SLAM is {found.surprise_m:.2f} m off then, and a position has a sigma of "
-            f"{found.sigma_fix_m:.1f} m"
-        ),
-        own=True,
+    why = elsewhere(
+        f"SLAM is {found.surprise_m:.2f} m off then, and a position has a sigma of "
+        f"{found.sigma_fix_m:.1f} m"
     )
-    yield at_most(
-        "it is taken in by updates small enough for their Jacobians (largest move by one)",
-        moves.max(),
-        PositionFixes().splitter.largest_move_m,
-        "m",
-    )
+    text = "when GPS arrives it differs significantly from SLAM (first difference over GPS sigma)"
+    yield at_least(text, found.surprise_m / found.sigma_fix_m, 3.0, why=why, own=True)
+    text = "it is taken in by updates small enough for their Jacobians (largest move by one)"
+    yield at_most(text, moves.max(), PositionFixes().splitter.largest_move_m, "m")
     yield at_most(
         f"the sequence of updates brings both together (median distance of the last {_LAST} "
         "positions over the first difference)",
@@ -303,12 +273,8 @@ def claims_9(found: Aided) -> Claims:
     )
     if found.true is not None:
         error = np.linalg.norm(found.pose[:, :2] - found.true, axis=1)
-        yield at_most(
-            "and the vehicle to where it truly is (error at the end over that before GPS)",
-            error[-1] / error[found.first - 1],
-            0.5,
-            own=True,
-        )
+        text = "and the vehicle to where it truly is (error at the end over that before GPS)"
+        yield at_most(text, error[-1] / error[found.first - 1], 0.5, own=True)
 
 
 def draw_7(canvas: Canvas, found: Covered) -> None:
@@ -349,7 +315,7 @@ def draw_9(canvas: Canvas, found: Aided) -> None:
     plan(right, "where GPS begins", legend="best")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="G7", title="The path, the trees, and where GPS reports",
         says="GPS is unavailable where trees are dense and reliable in the open; dense trees are "

@@ -19,17 +19,9 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    theirs,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
@@ -168,48 +160,29 @@ def claims_5(found: Drives) -> Claims:
         parts = [np.array_split(one.error_m(name), _PARTS) for one in found.each]
         return float(np.median([p[-1].mean() / p[0].mean() for p in parts]))
 
-    yield at_least(
-        "by dead reckoning errors accumulate (last fifth of the run over the first, median)",
-        growth("dead reckoning"),
-        2.0,
-        own=True,
-    )
-    yield at_most(
-        "SLAM cancels them (its error over dead reckoning's, medians of RMS)",
-        median("misono") / median("dead reckoning"),
-        0.5,
-        own=True,
-    )
-    yield at_most(
+    text = "by dead reckoning errors accumulate (last fifth of the run over the first, median)"
+    yield at_least(text, growth("dead reckoning"), 2.0, own=True)
+    text = "SLAM cancels them (its error over dead reckoning's, medians of RMS)"
+    yield at_most(text, median("misono") / median("dead reckoning"), 0.5, own=True)
+    why = theirs(_HEADING.format(*map(median, _BESIDE)))
+    text = (
         "and tells exactly where the robot is (median RMS error; limit: the distance within "
-        "which a waypoint counts as reached)",
-        median("misono"),
-        WaypointRun().reached_m,
-        "m",
-        why=theirs(_HEADING.format(*map(median, _BESIDE))),
-        own=True,
+        "which a waypoint counts as reached)"
     )
+    yield at_most(text, median("misono"), WaypointRun().reached_m, "m", why=why, own=True)
 
 
 def claims_6(found: Journeys) -> Claims:
     """By SLAM the robot comes back to where it began."""
     slam, blind = (found.ends_m(name) for name in ("misono", "dead reckoning"))
-    yield at_least(
-        "by dead reckoning the robot misses its starting point (median distance)",
-        np.median(blind),
-        1.0,
-        "m",
-        own=True,
-    )
-    yield at_most(
+    text = "by dead reckoning the robot misses its starting point (median distance)"
+    yield at_least(text, np.median(blind), 1.0, "m", own=True)
+    why = theirs(_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE)))
+    text = (
         "by SLAM it returns to it (worst drive; limit: twice the distance within which a "
-        "waypoint counts as reached)",
-        slam.max(),
-        2.0 * WaypointRun().reached_m,
-        "m",
-        why=theirs(_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE))),
-        own=True,
+        "waypoint counts as reached)"
     )
+    yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True)
 
 
 def draw_5(canvas: Canvas, found: Drives) -> None:
@@ -247,7 +220,7 @@ def _course(axis: Axes, title: str) -> None:
     plan(axis, title, legend="best")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="M5", title="Waypoints: estimated by SLAM and by dead reckoning",
         says="Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "

@@ -23,17 +23,9 @@ from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import SIGMAS, Place, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     ellipses_of,
@@ -206,57 +198,30 @@ def claims_3_20(found: CarPark) -> Claims:
     sigma = np.sqrt(np.trace(found.blocks, axis1=1, axis2=2))
     far = np.linalg.norm(found.landmark - found.aided_path[0], axis=1)
     farther = far > np.median(far)
-    yield at_most(
-        "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)",
-        rms(found.path_gps) / rms(found.wheels_gps),
-        0.5,
-        why=elsewhere("the last 15 s, without a reflector in view, are dead reckoning in both"),
-        own=True,
-    )
-    yield at_most(
-        "where landmarks are in view it is close to GPS (median distance)",
-        np.median(found.path_gps),
-        0.5,
-        "m",
-        own=True,
-    )
-    yield at_least(
-        "the landmarks' surveyed places are within the 3-sigma ellipses (share)",
-        np.mean(within_3_sigma(error, found.blocks[known])),
-        SHARE_WITHIN_3_SIGMA,
-    )
-    yield at_least(
+    why = elsewhere("the last 15 s, without a reflector in view, are dead reckoning in both")
+    text = "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)"
+    yield at_most(text, rms(found.path_gps) / rms(found.wheels_gps), 0.5, why=why, own=True)
+    text = "where landmarks are in view it is close to GPS (median distance)"
+    yield at_most(text, np.median(found.path_gps), 0.5, "m", own=True)
+    text = "the landmarks' surveyed places are within the 3-sigma ellipses (share)"
+    yield at_least(text, np.mean(within_3_sigma(error, found.blocks[known])), SHARE_WITHIN_3_SIGMA)
+    text = (
         "landmarks far from the start are the most uncertain (mean sigma of the farther half "
-        "over that of the nearer)",
-        sigma[farther].mean() / sigma[~farther].mean(),
-        1.0,
+        "over that of the nearer)"
     )
+    yield at_least(text, sigma[farther].mean() / sigma[~farther].mean(), 1.0)
 
 
 def claims_3_22(found: CarPark) -> Claims:
     """The final map beside the laser image."""
     regions = found.fine.dense.dense.regions
     away = found.off(found.fine.layers["points"].point)
-    yield at_most(
-        "the dense map lies on the laser image (median distance of its points)",
-        np.median(away),
-        CELL_M,
-        "m",
-        own=True,
-    )
-    yield at_most(
-        "all of it does (95 % of the distances)",
-        np.percentile(away, 95.0),
-        CELL_M,
-        "m",
-        why=_LAST,
-        own=True,
-    )
-    yield at_least(
-        "virtual landmarks were needed (regions with one)",
-        int(np.count_nonzero((regions.base < 0).any(axis=1))),
-        1,
-    )
+    text = "the dense map lies on the laser image (median distance of its points)"
+    yield at_most(text, np.median(away), CELL_M, "m", own=True)
+    text = "all of it does (95 % of the distances)"
+    yield at_most(text, np.percentile(away, 95.0), CELL_M, "m", why=_LAST, own=True)
+    text = "virtual landmarks were needed (regions with one)"
+    yield at_least(text, int(np.count_nonzero((regions.base < 0).any(axis=1))), 1)
 
 
 def claims_4_14(found: CarPark) -> Claims:
@@ -266,14 +231,11 @@ def claims_4_14(found: CarPark) -> Claims:
         for name in ("occupancy", "points")
     )
     yield from _closing_claims(found, "occupancy")
-    yield at_most(
+    text = (
         "the grid is as accurate as the raw observations (median distance to the laser image, "
-        "difference; limit: a cell)",
-        abs(cells - points),
-        CELL_M,
-        "m",
-        own=True,
+        "difference; limit: a cell)"
     )
+    yield at_most(text, abs(cells - points), CELL_M, "m", own=True)
 
 
 def _closing_claims(found: CarPark, layer: str) -> Claims:
@@ -283,21 +245,18 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
     known = np.flatnonzero(np.isfinite(found.beacon[: len(b.landmark), 0]))
     true = found.beacon[known]
     off = [rms(np.linalg.norm(x[known] - true, axis=1)) for x in (b.landmark, found.landmark)]
-    yield at_least(
-        "before the loop closes the map is visibly off (95 % of its distances to the laser image)",
-        np.percentile(then, 95.0),
-        ERROR_BEFORE_M,
-        "m",
-        why=elsewhere(
-            f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together"
-        ),
+    why = elsewhere(
+        f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together"
     )
-    yield at_most(
+    text = (
+        "before the loop closes the map is visibly off (95 % of its distances to the laser image)"
+    )
+    yield at_least(text, np.percentile(then, 95.0), ERROR_BEFORE_M, "m", why=why)
+    text = (
         "closing the loop corrects the map (RMS distance of its landmarks to the surveyed "
-        "ones, in the end over before)",
-        off[1] / off[0],
-        1.0,
+        "ones, in the end over before)"
     )
+    yield at_most(text, off[1] / off[0], 1.0)
     yield at_most(
         "by a large part (the same)",
         off[1] / off[0],
@@ -310,12 +269,9 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
 def _near_image(found: CarPark, what: str, layer: str, *, fine: bool = False) -> Claims:
     """Of a layer of the coarse map, or of the fine one."""
     mapping, cell_m = (found.fine, CELL_M) if fine else (found.coarse, COARSE_M)
+    text = f"{what} lie on the laser image (median distance; limit: a cell)"
     yield at_most(
-        f"{what} lie on the laser image (median distance; limit: a cell)",
-        np.median(found.off(occupied(mapping.layers[layer]))),
-        cell_m,
-        "m",
-        own=True,
+        text, np.median(found.off(occupied(mapping.layers[layer]))), cell_m, "m", own=True
     )
 
 
@@ -330,28 +286,19 @@ def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
     corner = (found.searched_fine if fine else found.searched).corner
     held = occupied(mapping.layers["occupancy"])
     away = cKDTree(held).query(corner)[0] if len(corner) else np.array([np.nan])
-    yield at_least(
-        "corners are found in the grid that no single scan shows", len(corner), 2, own=True
-    )
-    yield at_most(
+    text = "corners are found in the grid that no single scan shows"
+    yield at_least(text, len(corner), 2, own=True)
+    text = (
         "they are corners of what stands there (largest distance to an occupied cell; limit: "
-        "two cells)",
-        away.max(),
-        2.0 * cell_m,
-        "m",
-        own=True,
+        "two cells)"
     )
+    yield at_most(text, away.max(), 2.0 * cell_m, "m", own=True)
 
 
 def claims_6_11(found: CarPark) -> Claims:
     """SLAM with GPS, of which the laser image is made."""
-    yield at_most(
-        "SLAM combined with GPS follows GPS (median distance)",
-        np.median(found.aided_gps),
-        0.1,
-        "m",
-        own=True,
-    )
+    text = "SLAM combined with GPS follows GPS (median distance)"
+    yield at_most(text, np.median(found.aided_gps), 0.1, "m", own=True)
 
 
 def claims_6_15(found: CarPark) -> Claims:
@@ -374,13 +321,12 @@ def claims_6_16(found: CarPark) -> Claims:
     layers = found.coarse.layers
     grid = cKDTree(occupied(layers["occupancy"]))
     for name, key in (("raw observations", "points"), ("Gaussians", "sog")):
-        yield at_most(
+        text = (
             f"{name} and the grid show the same surfaces (median distance to an occupied cell; "
-            "limit: two cells)",
-            np.median(grid.query(occupied(layers[key]))[0]),
-            2.0 * COARSE_M,
-            "m",
-            own=True,
+            "limit: two cells)"
+        )
+        yield at_most(
+            text, np.median(grid.query(occupied(layers[key]))[0]), 2.0 * COARSE_M, "m", own=True
         )
 
 
@@ -388,15 +334,12 @@ def claims_6_18(found: CarPark) -> Claims:
     """High level landmarks."""
     s = found.searched
     yield at_least("pairs of corners up to 7 m apart are found", len(s.candidate) + s.known, 1)
-    yield at_least(
-        f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)",
-        len(s.found),
-        HIGH_LEVEL_COUNT,
-        why=elsewhere(
-            f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
-            "landmark must have is not stated"
-        ),
+    why = elsewhere(
+        f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
+        "landmark must have is not stated"
     )
+    text = f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)"
+    yield at_least(text, len(s.found), HIGH_LEVEL_COUNT, why=why)
 
 
 CAR_PARK = Experiment("the car park, dense maps", car_park, FOLDER)
@@ -558,7 +501,7 @@ def draw_6_18(canvas: Canvas, found: CarPark) -> None:
 
 _TWO = (12.0, 7.0)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.20", title="Car park: dead reckoning and feature SLAM beside GPS",
         says="Dead reckoning drifts away from GPS; SLAM stays, with the largest uncertainty far "

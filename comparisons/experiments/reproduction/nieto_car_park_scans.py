@@ -20,18 +20,9 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claim, Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claim,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA
 from comparisons.experiments.reproduction.nieto_car_park import (
     FOLDER,
@@ -203,32 +194,22 @@ def claims_5_10(found: CarParkScans) -> Claims:
     why = elsewhere(
         f"{OTHER_PART}: from GPS {thesis:.2f} m, joined {ours:.2f} m, feature SLAM {feature:.2f} m"
     )
+    text = "six landmarks are incorporated (difference from six)"
     yield at_most(
-        "six landmarks are incorporated (difference from six)",
-        abs(count - LANDMARKS),
-        0,
-        why=elsewhere(f"{OTHER_PART}: {count} landmarks"),
+        text, abs(count - LANDMARKS), 0, why=elsewhere(f"{OTHER_PART}: {count} landmarks")
     )
-    yield at_least(
+    text = (
         "the results are not as accurate as those of feature-based SLAM (median distance from "
-        "GPS over that of feature SLAM)",
-        thesis / feature,
-        1.0,
-        why=why,
+        "GPS over that of feature SLAM)"
     )
-    yield at_least(
-        f"so they are not {_JOINED} (the same)",
-        ours / feature,
-        1.0,
-        why=why,
-    )
-    yield at_most(
+    yield at_least(text, thesis / feature, 1.0, why=why)
+    text = f"so they are not {_JOINED} (the same)"
+    yield at_least(text, ours / feature, 1.0, why=why)
+    text = (
         "more information in the templates improves them (the same distance, joined segments, "
-        "ours, over the thesis' form)",
-        ours / thesis,
-        1.0,
-        why=why,
+        "ours, over the thesis' form)"
     )
+    yield at_most(text, ours / thesis, 1.0, why=why)
 
 
 def claims_5_11(found: CarParkScans) -> Claims:
@@ -241,18 +222,15 @@ def _consistent(text: str, run: CarParkRun) -> Claim:
     held, early = run.held, run.first_s < TURN_S
     share = float(np.mean(held.within)) if len(held.landmark_index) else float("nan")
     sigma = np.sqrt(np.trace(held.covariance, axis1=1, axis2=2) / 2.0)
-    return at_least(
-        f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)",
-        share,
-        SHARE_WITHIN_3_SIGMA,
-        why=elsewhere(
-            f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
-            "landmarks, off by "
-            f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of "
-            f"those first seen before {TURN_S:.0f} s, when a turn begins in which the steering "
-            f"reading saturates, {np.count_nonzero(held.within[early])} of {early.sum()}"
-        ),
+    why = elsewhere(
+        f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
+        "landmarks, off by "
+        f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of "
+        f"those first seen before {TURN_S:.0f} s, when a turn begins in which the steering "
+        f"reading saturates, {np.count_nonzero(held.within[early])} of {early.sum()}"
     )
+    text = f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)"
+    return at_least(text, share, SHARE_WITHIN_3_SIGMA, why=why)
 
 
 def claims_5_12(found: CarParkScans) -> Claims:
@@ -268,17 +246,16 @@ def claims_5_12(found: CarParkScans) -> Claims:
 def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
     off, limit_m = [one.off_m for one in run.aligned], SensorSigmas().range_m
     near = np.median([np.mean(one.away_m <= limit_m) for one in run.aligned])
-    return at_most(
+    why = elsewhere(
+        f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
+        f"the limit (median){besides}"
+    )
+    text = (
         f"{text} (median distance of its points to the nearest return, median of all "
-        "measurements used; limit: Table A.1's sigma of range)",
-        float(np.median(off)) if off else float("nan"),
-        limit_m,
-        "m",
-        why=elsewhere(
-            f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
-            f"the limit (median){besides}"
-        ),
-        own=True,
+        "measurements used; limit: Table A.1's sigma of range)"
+    )
+    return at_most(
+        text, float(np.median(off)) if off else float("nan"), limit_m, "m", why=why, own=True
     )
 
 
@@ -340,7 +317,7 @@ def draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
         chart(axis, title, "ahead [m]", "left [m]")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N5.10", title="Car park, Scan-SLAM: path, templates and laser image",
         says="Six landmarks were incorporated. The results are not as accurate as those of feature "

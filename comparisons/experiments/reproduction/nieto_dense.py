@@ -28,19 +28,9 @@ from comparisons.config import MapConfig
 from comparisons.documented.row import Preset
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
 from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    Why,
-    at_least,
-    at_most,
-    ours,
-    within,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import ellipses_of, occupied, true_segments
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import (
@@ -446,19 +436,17 @@ def claims_3_17(maps: Maps) -> Claims:
         west, east = m.thirds(point[:, 0])
         left.append(_mean(distance[west]))
         right.append(_mean(distance[east]))
-    yield at_least(
+    text = (
         "before the closing the dense map errs most at the left (mean distance to the "
-        "surfaces, left third over right third)",
-        _mean(left) / _mean(right),
-        1.0,
+        "surfaces, left third over right third)"
+    )
+    yield at_least(text, _mean(left) / _mean(right), 1.0)
+    text = (
+        "closing the loop corrects the whole dense map by a large part (95 % of the distances "
+        "to the surfaces, after over before, median of drives)"
     )
     yield at_most(
-        "closing the loop corrects the whole dense map by a large part (95 % of the distances "
-        "to the surfaces, after over before, median of drives)",
-        _median(now / then),
-        0.5,
-        why=ours(_after_closing(then, now, best)),
-        own=True,
+        text, _median(now / then), 0.5, why=ours(_after_closing(then, now, best)), own=True
     )
     yield at_least(
         "regions cover the area (share of the returns that found a region, at once or late, "
@@ -480,14 +468,12 @@ def claims_3_18(maps: Maps) -> Claims:
         move = rigid_motion(m.before.landmark[mine], m.true[: len(mine)][mine])
         raw, moved = (error_of_points(p, m.segment).median_m for p in (there, move(there)))
         ratios.append(moved / raw)
-    yield at_most(
+    text = (
         "at the left, objects and landmarks share one shift and rotation (median distance to "
         "the surfaces once the landmarks are moved onto the true ones, over that before; "
-        "median of drives)",
-        _median(ratios),
-        0.5,
-        own=True,
+        "median of drives)"
     )
+    yield at_most(text, _median(ratios), 0.5, own=True)
 
 
 def claims_4_2(maps: Maps) -> Claims:
@@ -501,19 +487,13 @@ def claims_4_2(maps: Maps) -> Claims:
         far = int(np.argmax(np.linalg.norm(true - e.pose[0, :2], axis=1)))
         squared.append(errors.landmarks.squared[far])
         rms.append(np.sqrt(np.mean(np.sum(np.square(e.landmark - true), axis=1))))
-    yield within(
+    text = (
         "the landmarks' errors are as large as stated (mean NEES of the farthest landmark over "
-        "drives; limits: its 95 % band)",
-        np.mean(squared),
-        mean_band(len(squared), 2),
+        "drives; limits: its 95 % band)"
     )
-    yield at_most(
-        "with the loop closed the landmarks' error is small (median of the drives' RMS)",
-        np.median(rms),
-        0.5,
-        "m",
-        own=True,
-    )
+    yield within(text, np.mean(squared), mean_band(len(squared), 2))
+    text = "with the loop closed the landmarks' error is small (median of the drives' RMS)"
+    yield at_most(text, np.median(rms), 0.5, "m", own=True)
 
 
 @_also_literally({0: _FEW_CELLS})
@@ -530,45 +510,35 @@ def claims_4_3(maps: Maps) -> Claims:
             for m in maps.all_drives
         ]
     ).T
-    yield at_most(
+    why = ours(
+        f"so it is in {np.sum(dense <= classic)} of {len(dense)} drives; where the filter ends "
+        "with a map that is turned as a whole, both are off by that"
+    )
+    text = (
         "DenseSLAM's grid is more accurate than one grid on every drive (95 % of the distances "
-        "to the surfaces, largest ratio)",
-        np.max(dense / classic),
-        1.0,
-        why=ours(
-            f"so it is in {np.sum(dense <= classic)} of {len(dense)} drives; where the filter ends "
-            "with a map that is turned as a whole, both are off by that"
-        ),
+        "to the surfaces, largest ratio)"
     )
-    yield at_most(
+    yield at_most(text, np.max(dense / classic), 1.0, why=why)
+    why = ours(
+        f"{_median(own):.2f} and {_median(other):.2f} m; the noise of the returns alone is 1 "
+        "degree, or 0.44 m at 25 m"
+    )
+    text = (
         "it fits the landmark map, where one grid is misshapen (the same once the landmarks "
-        "are moved onto the true ones, median ratio)",
-        np.median(own / other),
-        0.5,
-        why=ours(
-            f"{_median(own):.2f} and {_median(other):.2f} m; the noise of the returns alone is 1 "
-            "degree, or 0.44 m at 25 m"
-        ),
-        own=True,
+        "are moved onto the true ones, median ratio)"
     )
+    yield at_most(text, np.median(own / other), 0.5, why=why, own=True)
+    text = "because the closing corrects it (95 %, after over before, median of drives)"
     yield at_most(
-        "because the closing corrects it (95 %, after over before, median of drives)",
-        _median(now / then),
-        0.5,
-        why=ours(_after_closing(then, now, best)),
-        own=True,
+        text, _median(now / then), 0.5, why=ours(_after_closing(then, now, best)), own=True
     )
-    yield at_most(
-        "it is much more accurate on the whole (95 % of the distances, median ratio)",
-        np.median(dense / classic),
-        0.5,
-        why=ours(
-            f"both carry the error of the landmarks themselves: {_median(dense):.2f} and "
-            f"{_median(classic):.2f} m, and {_median(own):.2f} and {_median(other):.2f} m once the "
-            "landmarks are moved onto the true ones"
-        ),
-        own=True,
+    why = ours(
+        f"both carry the error of the landmarks themselves: {_median(dense):.2f} and "
+        f"{_median(classic):.2f} m, and {_median(own):.2f} and {_median(other):.2f} m once the "
+        "landmarks are moved onto the true ones"
     )
+    text = "it is much more accurate on the whole (95 % of the distances, median ratio)"
+    yield at_most(text, np.median(dense / classic), 0.5, why=why, own=True)
 
 
 @_also_literally({})
@@ -576,28 +546,23 @@ def claims_4_4(found: Rounds) -> Claims:
     """Walls in one grid are wider, and shapes are lost."""
     first, last = found.each[0], found.each[-1]
     at_first, in_the_end = (_misshapen(r, found.segment) for r in (first, last))
-    yield at_least(
-        "walls are wider in one grid (area of the occupied cells, over DenseSLAM's)",
-        last.classic_m2 / last.dense_m2,
-        1.0,
-        why=ours(
-            f"{last.classic_m2:.0f} and {last.dense_m2:.0f} m^2, after the first round "
-            f"{first.classic_m2:.0f} and {first.dense_m2:.0f}: occupancy is bounded "
-            "(dense_maps.confidence), so that later scans free what one grid has drawn wrongly; "
-            "without a bound 281 and 275 m^2"
-        ),
+    why = ours(
+        f"{last.classic_m2:.0f} and {last.dense_m2:.0f} m^2, after the first round "
+        f"{first.classic_m2:.0f} and {first.dense_m2:.0f}: occupancy is bounded "
+        "(dense_maps.confidence), so that later scans free what one grid has drawn wrongly; "
+        "without a bound 281 and 275 m^2"
     )
-    yield at_most(
+    text = "walls are wider in one grid (area of the occupied cells, over DenseSLAM's)"
+    yield at_least(text, last.classic_m2 / last.dense_m2, 1.0, why=why)
+    why = ours(
+        f"after the first round {at_first:.2f}; after so many with corrected poses one grid "
+        "has been drawn over"
+    )
+    text = (
         f"DenseSLAM's objects keep their shape (share of occupied cells more than {_FAR_M} m "
-        "from any surface, landmarks moved onto the true ones, over one grid's)",
-        in_the_end,
-        0.5,
-        why=ours(
-            f"after the first round {at_first:.2f}; after so many with corrected poses one grid "
-            "has been drawn over"
-        ),
-        own=True,
+        "from any surface, landmarks moved onto the true ones, over one grid's)"
     )
+    yield at_most(text, in_the_end, 0.5, why=why, own=True)
 
 
 def _misshapen(r: Round, segment: Array) -> float:
@@ -615,22 +580,18 @@ def claims_4_5(found: Rounds) -> Claims:
     """One grid is never corrected."""
     first, last = found.each[0], found.each[-1]
     third = next(r for r in found.each if r.number == _THIRD)
-    yield at_least(
+    why = ours(
+        f"the filter's map is off as a whole: 95 % of DenseSLAM's cells are within "
+        f"{last.dense_error.p95_m:.2f} m in the last round, of one grid's within "
+        f"{last.classic_error.p95_m:.2f}, so the distances hardly tell what was corrected"
+    )
+    text = (
         f"one grid is not corrected in {last.number} rounds (95 % of the distances to the "
-        "surfaces, last round over first)",
-        last.classic_error.p95_m / first.classic_error.p95_m,
-        1.0,
-        why=ours(
-            f"the filter's map is off as a whole: 95 % of DenseSLAM's cells are within "
-            f"{last.dense_error.p95_m:.2f} m in the last round, of one grid's within "
-            f"{last.classic_error.p95_m:.2f}, so the distances hardly tell what was corrected"
-        ),
+        "surfaces, last round over first)"
     )
-    yield at_least(
-        "objects appear a second time in later rounds (occupied cells, third round over first)",
-        third.classic_error.occupied / first.classic_error.occupied,
-        1.0,
-    )
+    yield at_least(text, last.classic_error.p95_m / first.classic_error.p95_m, 1.0, why=why)
+    text = "objects appear a second time in later rounds (occupied cells, third round over first)"
+    yield at_least(text, third.classic_error.occupied / first.classic_error.occupied, 1.0)
 
 
 @_also_literally({})
@@ -642,12 +603,8 @@ def claims_4_6(found: Coarsened) -> Claims:
         "of its cells below 0.2, and 99 % are asked for"
     )
     yield at_least("almost empty regions get cells of 0.5 m (number of them)", coarse, 1, why=why)
-    yield at_most(
-        "fewer cells are kept (over those of one size)",
-        found.cells / found.cells_even if coarse else np.nan,
-        1.0,
-        why=why,
-    )
+    text = "fewer cells are kept (over those of one size)"
+    yield at_most(text, found.cells / found.cells_even if coarse else np.nan, 1.0, why=why)
     yield at_most(
         "the map stays as accurate (95 % of the distances to the surfaces, over that with one "
         "size)",
@@ -663,22 +620,15 @@ def claims_4_10(found: Rounds) -> Claims:
     """Most particles are likely occupied, and they are where the raw returns are."""
     weight = found.particles.occupancy
     particles, points = (surface_error(s, found.segment) for s in (found.particles, found.points))
-    yield at_least(
-        "87 % of the particles weigh more than 0.8", (weight > OCCUPIED).mean(), 0.87, why=_THINNED
-    )
-    yield at_most(
-        "2 % weigh less than 0.5",
-        (weight < 0.5).mean(),
-        0.02,
-        why=_THINNED,
-    )
-    yield at_most(
+    text = "87 % of the particles weigh more than 0.8"
+    yield at_least(text, (weight > OCCUPIED).mean(), 0.87, why=_THINNED)
+    text = "2 % weigh less than 0.5"
+    yield at_most(text, (weight < 0.5).mean(), 0.02, why=_THINNED)
+    text = (
         "the result is much the same as with raw returns (median distance to the surfaces, "
-        "over theirs)",
-        particles.median_m / points.median_m,
-        1.1,
-        own=True,
+        "over theirs)"
     )
+    yield at_most(text, particles.median_m / points.median_m, 1.1, own=True)
 
 
 @_also_literally({})
@@ -686,13 +636,8 @@ def claims_4_12(maps: Maps) -> Claims:
     """A sum of Gaussians follows the surfaces as raw returns do."""
     ratio = [m.errors["sog"].median_m / m.errors["points"].median_m for m in maps.all_drives]
     count = [m.errors["sog"].occupied / m.errors["points"].occupied for m in maps.all_drives]
-    yield at_most(
-        "Gaussians represent the surfaces (median distance, over that of raw returns)",
-        np.median(ratio),
-        1.1,
-        why=_MERGED,
-        own=True,
-    )
+    text = "Gaussians represent the surfaces (median distance, over that of raw returns)"
+    yield at_most(text, np.median(ratio), 1.1, why=_MERGED, own=True)
     yield at_most("with fewer of them than of points kept (ratio)", float(np.median(count)), 1.0)
 
 
@@ -735,13 +680,11 @@ def claims_4_16(maps: Maps) -> Claims:
             near_share(s.point[s.occupancy > _LEAST], cell.point[cell.occupancy > _LEAST], reach)
             for s, cell in zip(held, cells, strict=True)
         ]
-        yield at_least(
+        text = (
             f"{name} and occupied cells are of the same surfaces (share of the former within "
-            f"{_CELLS:g} cells of the latter, mean of drives)",
-            np.mean(shares),
-            0.9,
-            own=True,
+            f"{_CELLS:g} cells of the latter, mean of drives)"
         )
+        yield at_least(text, np.mean(shares), 0.9, own=True)
 
 
 def _map(
@@ -875,7 +818,7 @@ def draw_4_16(canvas: Canvas, maps: Maps) -> None:
         plan(axis, name)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.17", title="Raw returns in local regions, before and after a loop closes",
         says="The dense map errs most at the left, and is corrected together with the landmarks "

@@ -19,17 +19,9 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess_trajectory, rigid_motion
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    within,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
@@ -149,28 +141,21 @@ def claims_2_6(found: FinalMap) -> Claims:
 def claims(found: Clouds) -> Claims:
     """The trajectory is right, and particles are lost."""
     most = found.runs[-1]
-    yield at_most(
+    text = (
         f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
-        "distance from GPS after alignment; the figure gives no number)",
-        most.median_m,
-        2.0,
-        "m",
-        own=True,
+        "distance from GPS after alignment; the figure gives no number)"
     )
-    yield within(
+    yield at_most(text, most.median_m, 2.0, "m", own=True)
+    text = (
         "the landmarks' estimates are the park's trees (number that most of the weight has; "
-        f"limits: a factor of 2 either way from the {TREES} of EKF-SLAM on the same detections)",
-        len(most.landmark),
-        (0.5 * TREES, 2.0 * TREES),
-        own=True,
+        f"limits: a factor of 2 either way from the {TREES} of EKF-SLAM on the same detections)"
     )
-    yield at_most(
+    yield within(text, len(most.landmark), (0.5 * TREES, 2.0 * TREES), own=True)
+    text = (
         "part of the history is lost with every resampling (share of the particles at a tenth "
-        "of the log that have descendants at its end)",
-        most.left_of_the_first_tenth / most.particles,
-        0.1,
-        own=True,
+        "of the log that have descendants at its end)"
     )
+    yield at_most(text, most.left_of_the_first_tenth / most.particles, 0.1, own=True)
 
 
 def draw_2_6(canvas: Canvas, found: FinalMap) -> None:
@@ -205,7 +190,7 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
     chart(axis, "depletion", "share of the log", "particles with descendants at its end")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N2.6", title="Feature SLAM on Victoria Park",
         says="Feature-based SLAM gives trajectory and map; the map is sparse, and is of trees.",

@@ -21,18 +21,9 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere, ours
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-    ours,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.nieto_dense import MORE, enclosed
 from comparisons.experiments.reproduction.watched_run import truth_in_order
@@ -278,21 +269,12 @@ def claims_6_4(found: Pairs) -> Claims:
     rich = [one.search.gaussians[one.accepted] for one in found.each]
     poor = [one.search.gaussians[~one.accepted] for one in found.each]
     yield at_least("four corners are detected (fewest of the drives)", min(corners), 4)
-    yield at_least(
-        "two pairs become candidates, and one is accepted (share of drives)",
-        np.mean(right),
-        1.0,
-    )
-    yield at_least(
-        f"the accepted one has the {LEAST} Gaussians that are asked for (fewest)",
-        min(np.concatenate(rich), default=np.nan),
-        LEAST,
-    )
-    yield at_most(
-        "the other has not enough (most of the drives; limit: one less than asked for)",
-        max(np.concatenate(poor), default=np.nan),
-        LEAST - 1,
-    )
+    text = "two pairs become candidates, and one is accepted (share of drives)"
+    yield at_least(text, np.mean(right), 1.0)
+    text = f"the accepted one has the {LEAST} Gaussians that are asked for (fewest)"
+    yield at_least(text, min(np.concatenate(rich), default=np.nan), LEAST)
+    text = "the other has not enough (most of the drives; limit: one less than asked for)"
+    yield at_most(text, max(np.concatenate(poor), default=np.nan), LEAST - 1)
 
 
 def claims_6_5(found: HighLevelDrives) -> Claims:
@@ -305,30 +287,24 @@ def claims_6_5(found: HighLevelDrives) -> Claims:
     looks = Counter[str]()
     for d in found.each:
         looks.update(d.run.looks)
-    yield at_least(
-        "the first search has three candidates (median of the drives)", np.median(shown), CANDIDATES
-    )
+    text = "the first search has three candidates (median of the drives)"
+    yield at_least(text, np.median(shown), CANDIDATES)
     yield at_least("at least one of them is accepted (the same)", np.median(taken), FIRST)
+    text = "and two are rejected for too few Gaussians (the same)"
     yield at_least(
-        "and two are rejected for too few Gaussians (the same)",
-        np.median([n - k for n, k in zip(shown, taken, strict=True)]),
-        CANDIDATES - FIRST,
+        text, np.median([n - k for n, k in zip(shown, taken, strict=True)]), CANDIDATES - FIRST
     )
-    yield at_least(
-        "once the loop is closed four more have been detected (the same)", np.median(later), LATER
+    text = "once the loop is closed four more have been detected (the same)"
+    yield at_least(text, np.median(later), LATER)
+    why = ours(
+        "44 s are left after the search that finds four of them, and a landmark is used from "
+        f"the first scan that has {SHARE:.0%} of its template in view and fixes its heading: "
+        f"of {looks.total()} looks at those within reach {looks['out of view']} were out of "
+        f"view, and {looks['a direction is open']} left a direction open. With 10 % and any "
+        "direction open 3 are used in each of 3 drives"
     )
-    yield at_least(
-        "in the end five are in the state, seen again and used (the same)",
-        np.median(kept),
-        FIRST + LATER,
-        why=ours(
-            "44 s are left after the search that finds four of them, and a landmark is used from "
-            f"the first scan that has {SHARE:.0%} of its template in view and fixes its heading: "
-            f"of {looks.total()} looks at those within reach {looks['out of view']} were out of "
-            f"view, and {looks['a direction is open']} left a direction open. With 10 % and any "
-            "direction open 3 are used in each of 3 drives"
-        ),
-    )
+    text = "in the end five are in the state, seen again and used (the same)"
+    yield at_least(text, np.median(kept), FIRST + LATER, why=why)
 
 
 def claims_6_6(found: HighLevelDrives) -> Claims:
@@ -340,14 +316,11 @@ def claims_6_6(found: HighLevelDrives) -> Claims:
     ]
     ratio = [d.error_m / d.without_m for d in found.each]
     landmarks = len(found.each[0].landmark)
-    yield at_most(
+    text = (
         "the templates are pieces of the objects (median distance of a template's points from the "
-        "surfaces, once the point landmarks are moved onto the true ones; median of all templates)",
-        np.median(off) if off else np.nan,
-        0.5,
-        "m",
-        own=True,
+        "surfaces, once the point landmarks are moved onto the true ones; median of all templates)"
     )
+    yield at_most(text, np.median(off) if off else np.nan, 0.5, "m", own=True)
     yield at_most(
         "the vehicle is no farther from the truth with them (RMS position error after the "
         "first loop, over that without, mean of the drives)",
@@ -355,15 +328,11 @@ def claims_6_6(found: HighLevelDrives) -> Claims:
         1.0,
         why=elsewhere(f"few are seen again, among {landmarks} point landmarks"),
     )
-    yield at_most(
-        "localisation is much more robust with them (the same)",
-        np.mean(ratio),
-        0.5,
-        why=elsewhere(
-            f"{landmarks} point landmarks are there as well, and fix the vehicle without them"
-        ),
-        own=True,
+    why = elsewhere(
+        f"{landmarks} point landmarks are there as well, and fix the vehicle without them"
     )
+    text = "localisation is much more robust with them (the same)"
+    yield at_most(text, np.mean(ratio), 0.5, why=why, own=True)
 
 
 CORNER_PAIRS = Experiment("section 6.1.3, two pairs of corners", corner_pairs)
@@ -462,7 +431,7 @@ def _closed(area: Array) -> Array:
     return np.concatenate((area, area[:, :1]), axis=1)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N6.2", title="A high level landmark in two layers",
         says="A landmark of the dense map, with local axes, may be a grid or a sum of Gaussians.",

@@ -14,18 +14,9 @@ from scipy.spatial import cKDTree
 
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.arrays import Array
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs, within
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    theirs,
-    within,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import occupied
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
@@ -331,7 +322,7 @@ def _scanned(axis: Axes, title: str) -> None:
     axis.grid(visible=False)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N2.5", title="An occupancy grid by known poses",
         says="Every object is represented in the grid, whatever its geometry.",

@@ -21,17 +21,9 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, MapConfig
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, ours
 from comparisons.experiments.reproduction.drawing import frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    ours,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import true_segments
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
@@ -145,49 +137,29 @@ def changed_places(sources: Sources) -> Motions:
 def claims_6_9(found: Motions) -> Claims:
     """Both lanes, and hardly anything else."""
     off = [_off(m.score.middle[:, 1:], found.true[:, 1:]) for m in found.each]
-    yield at_most(
+    text = (
         "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
-        "its own area's, in all drives)",
-        max(off),
-        0.5,
-        "m",
-        own=True,
+        "its own area's, in all drives)"
     )
-    yield at_most(
-        "and nowhere else: number of areas (most of the drives)",
-        max(len(m.score.middle) for m in found.each),
-        2,
-    )
-    yield at_least(
-        "cells found are driven on (least precision of the drives)",
-        min(m.score.precision for m in found.each),
-        0.9,
-        own=True,
-    )
-    yield at_least(
-        "cells driven on are found (least recall of the drives)",
-        min(m.score.recall for m in found.each),
-        0.9,
-        own=True,
-    )
+    yield at_most(text, max(off), 0.5, "m", own=True)
+    text = "and nowhere else: number of areas (most of the drives)"
+    yield at_most(text, max(len(m.score.middle) for m in found.each), 2)
+    text = "cells found are driven on (least precision of the drives)"
+    yield at_least(text, min(m.score.precision for m in found.each), 0.9, own=True)
+    text = "cells driven on are found (least recall of the drives)"
+    yield at_least(text, min(m.score.recall for m in found.each), 0.9, own=True)
 
 
 def claims_6_10(found: Motions) -> Claims:
     """The three places, and no other."""
     off = [_off(m.score.middle, found.true) for m in found.each]
-    yield at_most(
+    text = (
         "areas are found where the objects stood or stand (largest distance of their middles, "
-        "in all drives; only the sides that were seen are found)",
-        max(off),
-        1.3,
-        "m",
-        own=True,
+        "in all drives; only the sides that were seen are found)"
     )
-    yield at_most(
-        "and nowhere else: number of areas (most of the drives)",
-        max(len(m.score.middle) for m in found.each),
-        3,
-    )
+    yield at_most(text, max(off), 1.3, "m", own=True)
+    text = "and nowhere else: number of areas (most of the drives)"
+    yield at_most(text, max(len(m.score.middle) for m in found.each), 3)
 
 
 def _off(middle: Array, true: Array) -> float:
@@ -341,12 +313,10 @@ def claims_6_19(found: ParkedCarsDrives) -> Claims:
         min(int((away <= _BESIDE_M).any(axis=1).sum()) for away in off),
         len(leaving_cars()),
     )
-    yield at_least(
-        "two areas are found, one of two cars side by side and one of the third (share of drives)",
-        np.mean(count == _AREAS),
-        1.0,
-        why=_RAGGED,
+    text = (
+        "two areas are found, one of two cars side by side and one of the third (share of drives)"
     )
+    yield at_least(text, np.mean(count == _AREAS), 1.0, why=_RAGGED)
     yield at_most(
         "and none elsewhere (largest distance of a dynamic cell from a car that left, in all "
         "drives)",
@@ -362,16 +332,14 @@ def claims_6_20(found: ParkedCarsDrives) -> Claims:
     """What is under an area, and the rest."""
     left = np.concatenate([d.left for d in found.each])
     removed = np.concatenate([d.removed for d in found.each])
-    yield at_least(
+    text = (
         "the landmark under a dynamic area is removed (share of the high level landmarks that "
-        "stand on a car that left, all drives)",
-        np.mean(removed[left]),
-        1.0,
+        "stand on a car that left, all drives)"
     )
+    yield at_least(text, np.mean(removed[left]), 1.0)
+    text = "it is removed from the state vector (drives with one that was in it, share)"
     yield at_least(
-        "it is removed from the state vector (drives with one that was in it, share)",
-        np.mean([(d.left & d.removed & d.in_state).any() for d in found.each]),
-        1.0,
+        text, np.mean([(d.left & d.removed & d.in_state).any() for d in found.each]), 1.0
     )
     yield at_most(
         "all others are kept (number of others that are removed, point landmarks among them, all "
@@ -417,7 +385,7 @@ def draw_6_20(canvas: Canvas, found: ParkedCarsDrives) -> None:
 
 _PARKED = Experiment("section 6.5, cars that leave", parked_drives)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N6.9", title="Fast motion found by differencing occupancy",
         says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, where "

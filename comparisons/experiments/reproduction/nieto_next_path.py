@@ -29,16 +29,9 @@ from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_occupied
@@ -364,13 +357,11 @@ def claims(found: NextPath) -> Claims:
     """Filter and smoother agree on a choice that the map allows."""
     ours, theirs = found.by_filter, found.by_smoother
     spread = np.ptp(theirs.gain)
-    yield at_most(
+    text = (
         "filter and smoother agree on what each path would gain (largest difference over the "
-        "spread of the paths)",
-        np.abs(ours.gain - theirs.gain).max() / spread,
-        _AGREED,
-        own=True,
+        "spread of the paths)"
     )
+    yield at_most(text, np.abs(ours.gain - theirs.gain).max() / spread, _AGREED, own=True)
     yield at_most(
         "and choose alike (what the smoother would gain less by the filter's choice than by its "
         "own, over the spread)",
@@ -384,16 +375,10 @@ def claims(found: NextPath) -> Claims:
         _AGREED,
         own=True,
     )
-    yield at_most(
-        "no path over the dense map crosses a true surface (crossings)",
-        sum(crossings(way, found.segment) for way in found.way),
-        0.0,
-    )
-    yield at_least(
-        "which straight ways to the same ends do (crossings)",
-        sum(crossings(way[[0, -1]], found.segment) for way in found.way),
-        1.0,
-    )
+    text = "no path over the dense map crosses a true surface (crossings)"
+    yield at_most(text, sum(crossings(way, found.segment) for way in found.way), 0.0)
+    text = "which straight ways to the same ends do (crossings)"
+    yield at_least(text, sum(crossings(way[[0, -1]], found.segment) for way in found.way), 1.0)
 
 
 def draw(canvas: Canvas, found: NextPath) -> None:
@@ -417,7 +402,7 @@ def draw(canvas: Canvas, found: NextPath) -> None:
 _AGREED = 0.1
 EXPERIMENT = Experiment("section 7.2.4", next_path)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N7.2.4", place="section 7.2.4", title="The next path, by what it would leave unknown",
         says="Future research: with a dense map the next path can be planned, and chosen for what "

@@ -15,16 +15,9 @@ from matplotlib.figure import Figure as Canvas
 from scipy.linalg import block_diag
 
 from comparisons.arrays import Array
+from comparisons.experiments.reproduction.claims import Claims, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_most,
-    within,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.statistics import mean_band, normalise
@@ -255,31 +248,21 @@ def claims_3_7_1(found: PeopleDrives) -> Claims:
         (0.9, 1.0),
         own=True,
     )
-    yield at_most(
-        "the tracks are the same (RMS difference of places along each axis, in their sigmas)",
-        np.sqrt(np.mean(apart.squared) / 2.0),
-        0.3,
-        own=True,
-    )
+    text = "the tracks are the same (RMS difference of places along each axis, in their sigmas)"
+    yield at_most(text, np.sqrt(np.mean(apart.squared) / 2.0), 0.3, own=True)
     for name, squared, dof in (("the robot", robot.squared, 3), ("a person", person.squared, 4)):
-        yield within(
+        text = (
             f"the unidirectional filter is consistent: {name} errs as stated (mean NEES at the "
-            "end of the drives; limits: its 95 % band)",
-            np.mean(squared),
-            mean_band(len(drives), dof),
+            "end of the drives; limits: its 95 % band)"
         )
-    yield at_most(
+        yield within(text, np.mean(squared), mean_band(len(drives), dof))
+    text = (
         "of the covariance N1 (N1 + N2) elements and each person's own are kept (number; "
-        f"N1 = {rest}, N2 = {people}, of which a person has 4)",
-        max(d.one_way.kept for d in drives),
-        rest * (rest + people) + 4 * people,
+        f"N1 = {rest}, N2 = {people}, of which a person has 4)"
     )
-    yield at_most(
-        "which costs less: elements that an update changes, over those of the full filter",
-        max(d.one_way.kept / d.full.kept for d in drives),
-        0.5,
-        own=True,
-    )
+    yield at_most(text, max(d.one_way.kept for d in drives), rest * (rest + people) + 4 * people)
+    text = "which costs less: elements that an update changes, over those of the full filter"
+    yield at_most(text, max(d.one_way.kept / d.full.kept for d in drives), 0.5, own=True)
 
 
 def draw_3_7_1(canvas: Canvas, found: PeopleDrives) -> None:
@@ -300,7 +283,7 @@ def draw_3_7_1(canvas: Canvas, found: PeopleDrives) -> None:
     chart(right, "standard deviation of the robot's place", "time [s]", "[m]")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.7.1", title="People tracked by the unidirectional information flow",
         says="People walk at random and tell a robot that does SLAM nothing, while their tracks "

@@ -14,17 +14,9 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs
 from comparisons.experiments.reproduction.drawing import chart, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    theirs,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.nieto_slam import closing_s
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.log import Log
@@ -82,34 +74,18 @@ def claims_3_5(found: Examples) -> Claims:
         f"once the loop is closed the point is known well in the world, too (sigma {known[1]:.2f} "
         f"m instead of {known[0]:.2f})"
     )
-    yield at_least(
-        "the point's correlation with its region's landmarks is high (least)",
-        min(w.min() for w in with_base),
-        0.9,
-        why=theirs(f"until the loop closes it is {until(with_base).min():.2f}; {closed}"),
-        own=True,
-    )
-    yield at_least(
-        "with a distant landmark it is almost one in the world (least until the loop closes)",
-        until(world).min(),
-        0.95,
-        why=theirs(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}"),
-        own=True,
-    )
-    yield at_most(
-        "and almost zero in the region (largest)",
-        max(c.max() for c in local),
-        0.1,
-        why=theirs(f"until the loop closes it is {until(local).max():.2f}; {closed}"),
-        own=True,
-    )
-    yield at_most(
-        "its deviation is much smaller in the region than in the world (largest ratio)",
-        max(r.max() for r in ratio),
-        0.2,
-        why=theirs(f"until the loop closes it is {until(ratio).max():.2f}; {closed}"),
-        own=True,
-    )
+    why = theirs(f"until the loop closes it is {until(with_base).min():.2f}; {closed}")
+    text = "the point's correlation with its region's landmarks is high (least)"
+    yield at_least(text, min(w.min() for w in with_base), 0.9, why=why, own=True)
+    why = theirs(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}")
+    text = "with a distant landmark it is almost one in the world (least until the loop closes)"
+    yield at_least(text, until(world).min(), 0.95, why=why, own=True)
+    why = theirs(f"until the loop closes it is {until(local).max():.2f}; {closed}")
+    text = "and almost zero in the region (largest)"
+    yield at_most(text, max(c.max() for c in local), 0.1, why=why, own=True)
+    why = theirs(f"until the loop closes it is {until(ratio).max():.2f}; {closed}")
+    text = "its deviation is much smaller in the region than in the world (largest ratio)"
+    yield at_most(text, max(r.max() for r in ratio), 0.2, why=why, own=True)
 
 
 def claims_3_12(found: Examples) -> Claims:
@@ -120,42 +96,26 @@ def claims_3_12(found: Examples) -> Claims:
         float(np.ptp(e.moved.local_m[e.time_s >= closing + _SETTLING_S]))
         for e, closing in zip(found.each, found.closing_s, strict=True)
     ]
-    yield at_least(
-        "in the world the point moves by more than half a metre (median of drives)",
-        np.median(world),
-        0.5,
-        "m",
-        why=theirs(
-            "the thesis shows one drive; how far a closing moves a map is luck: here "
-            f"{world.min():.2f} to {world.max():.2f} m"
-        ),
+    why = theirs(
+        "the thesis shows one drive; how far a closing moves a map is luck: here "
+        f"{world.min():.2f} to {world.max():.2f} m"
     )
-    yield at_most(
-        "in its region it moves by about 0.1 m (largest of all drives)",
-        local.max(),
-        0.1,
-        "m",
-        why=theirs(
-            f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
-            f"in the median {np.median(local):.2f} m"
-        ),
+    text = "in the world the point moves by more than half a metre (median of drives)"
+    yield at_least(text, np.median(world), 0.5, "m", why=why)
+    why = theirs(
+        f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
+        f"in the median {np.median(local):.2f} m"
     )
-    yield at_most(
-        "which is a fifth of its motion in the world (median ratio)",
-        np.median(local / world),
-        0.2,
+    text = "in its region it moves by about 0.1 m (largest of all drives)"
+    yield at_most(text, local.max(), 0.1, "m", why=why)
+    text = "which is a fifth of its motion in the world (median ratio)"
+    yield at_most(text, np.median(local / world), 0.2)
+    why = theirs(
+        "the thesis shows one drive; so it does in "
+        f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
     )
-    yield at_most(
-        f"{_SETTLING_S:.0f} s after the closing it stays where it is (largest range)",
-        max(unsettled),
-        0.02,
-        "m",
-        why=theirs(
-            "the thesis shows one drive; so it does in "
-            f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
-        ),
-        own=True,
-    )
+    text = f"{_SETTLING_S:.0f} s after the closing it stays where it is (largest range)"
+    yield at_most(text, max(unsettled), 0.02, "m", why=why, own=True)
 
 
 def draw_3_5(canvas: Canvas, found: Examples) -> None:
@@ -387,7 +347,7 @@ def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
 
 EXPERIMENT = Experiment("Examples 3.1 and 3.2", examples)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.5", title="Decorrelation of a point within its region",
         says="A point close to three landmarks is highly correlated with them; expressed in their "

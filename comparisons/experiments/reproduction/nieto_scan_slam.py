@@ -20,20 +20,17 @@ from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import RunConfig, setting_default
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
+from comparisons.experiments.reproduction.claims import (
     Claim,
     Claims,
-    Experiment,
-    Figure,
-    Sources,
     at_least,
     at_most,
     elsewhere,
     ours,
     theirs,
 )
+from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, within_3_sigma
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
@@ -308,43 +305,31 @@ def claims_5_8(found: ScanDrives) -> Claims:
     fall = [now / then for then, now in (d.errors_m for d in found.each)]
     before, after = [d.before for d in found.each], [d.after for d in found.each]
     missed = ours(f"by drive {_each(fall)}; where the loop is missed the map stays as it drifted")
-    yield at_most(
+    text = (
         "the estimated path is close to the true one (RMS error over that of odometry alone, "
-        "median of drives)",
-        np.median(ratio),
-        0.5,
-        own=True,
+        "median of drives)"
     )
+    yield at_most(text, np.median(ratio), 0.5, own=True)
     yield _inside(
         "before the loop closes the landmarks' errors are within their 3-sigma ellipses", before
     )
     yield _inside("and so they are after it", after)
-    yield at_most(
+    text = (
         "closing the loop reduces the error of the objects' places in every drive (RMS "
-        "distance of the landmarks from the true ones, after over before, largest)",
-        max(fall),
-        1.0,
-        why=missed,
+        "distance of the landmarks from the true ones, after over before, largest)"
     )
-    yield at_most(
-        "it reduces it by a large part (the same, median of drives)",
-        np.median(fall),
-        0.5,
-        why=missed,
-        own=True,
-    )
+    yield at_most(text, max(fall), 1.0, why=missed)
+    text = "it reduces it by a large part (the same, median of drives)"
+    yield at_most(text, np.median(fall), 0.5, why=missed, own=True)
     yield _closed("every loop closes", found.each)
     yield from _by_the_thesis(found.published)
 
 
 def _closed(text: str, drives: Sequence[ScanDrive]) -> Claim:
     missed = [f"{d.end_m:.2g} m off, {d.again} seen again" for d in drives if not d.closed]
-    return at_least(
-        f"{text} (share of drives that see old landmarks again and end within {END_M:g} m)",
-        float(np.mean([d.closed for d in drives])),
-        1.0,
-        why=ours(f"missed: {'; '.join(missed)}"),
-    )
+    why = ours(f"missed: {'; '.join(missed)}")
+    text = f"{text} (share of drives that see old landmarks again and end within {END_M:g} m)"
+    return at_least(text, float(np.mean([d.closed for d in drives])), 1.0, why=why)
 
 
 def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
@@ -356,14 +341,11 @@ def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
         "30 returns (5.6 has no number for this drive, 5.7 has 100 on its car park) and the "
         "covariance of eqs. 5.16 and 5.17"
     )
-    yield at_most(
+    text = (
         "by the thesis' settings the path is close to the true one (RMS error over that of "
-        "odometry alone, median of drives)",
-        np.median(ratio),
-        0.5,
-        why=form,
-        own=True,
+        "odometry alone, median of drives)"
     )
+    yield at_most(text, np.median(ratio), 0.5, why=form, own=True)
     yield _closed("by the thesis' settings every loop closes", drives)
     yield _inside(
         "by the thesis' settings the landmarks' errors are within their 3-sigma ellipses before "
@@ -391,14 +373,11 @@ def _left_top(templates: str, axes: str, drives: Sequence[ScanDrive]) -> Claims:
         for m, d in zip(maps, drives, strict=True)
         if len(m.landmark_index)
     ]
-    yield at_most(
+    text = (
         f"{templates} the objects in detail (median distance of their points from the "
-        "surfaces, every axis put where it truly is, largest of the drives)",
-        max(off, default=np.nan),
-        0.2,
-        "m",
-        own=True,
+        "surfaces, every axis put where it truly is, largest of the drives)"
     )
+    yield at_most(text, max(off, default=np.nan), 0.2, "m", own=True)
     yield _inside(f"{axes} within the 3-sigma ellipses", maps)
 
 
@@ -406,11 +385,10 @@ def _inside(text: str, maps: list[ScanMap]) -> Claim:
     """Of all landmarks the share within 3 sigma; beside it the shares by map."""
     each = [m.within for m in maps if len(m.landmark_index)]
     shares = _each([float(np.mean(one)) for one in each])
+    why = theirs(f"by drive {shares}: where the filter has drifted it is too sure")
+    text = f"{text} (share of all drives' landmarks)"
     return at_least(
-        f"{text} (share of all drives' landmarks)",
-        np.mean(np.concatenate(each)) if each else np.nan,
-        SHARE_WITHIN_3_SIGMA,
-        why=theirs(f"by drive {shares}: where the filter has drifted it is too sure"),
+        text, np.mean(np.concatenate(each)) if each else np.nan, SHARE_WITHIN_3_SIGMA, why=why
     )
 
 
@@ -474,7 +452,7 @@ def axes_at(place: Array, length_m: float) -> Array:
     return np.array(drawn).reshape(-1, 3, 2)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N5.8", title="Scan-SLAM among objects, before and after the loop closes",
         says="Pieces of scans serve as landmarks of an EKF; the estimated path follows the true "

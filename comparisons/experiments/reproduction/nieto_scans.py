@@ -10,18 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    Why,
-    at_least,
-    at_most,
-    ours,
-    within,
-)
+from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
 from comparisons.logs.simulate.scanners import half_degrees
@@ -157,12 +147,11 @@ def claims_5_5(found: Scans) -> Claims:
     taken = [t for t in found.each if t.usable]
     nees = [float(t.sog @ np.linalg.solve(t.covariance, t.sog)) for t in taken]
     yield from _good("the correlation", found, np.array([t.sog for t in found.each]))
-    yield within(
+    text = (
         "the alignment is consistent (mean NEES where neither ambiguous nor apart; limits: its "
-        "95 % band)",
-        np.mean(nees) if nees else np.nan,
-        mean_band(len(nees), 3),
+        "95 % band)"
     )
+    yield within(text, np.mean(nees) if nees else np.nan, mean_band(len(nees), 3))
 
 
 def claims_5_6(found: Scans) -> Claims:
@@ -179,22 +168,12 @@ def _good(name: str, found: Scans, error: Array, why: Why | None = None) -> Clai
     left = np.hypot(*error[:, :2].T) / np.hypot(*before[:, :2].T)
     turned = np.abs(error[:, 2] / before[:, 2])
     near = (np.hypot(*error[:, :2].T) < WITHIN_M) & (np.abs(error[:, 2]) < WITHIN_RAD)
-    yield at_most(
-        f"{name} brings the scans together (distance from the truth, after over before, median)",
-        np.median(left),
-        0.1,
-        own=True,
-    )
-    yield at_most(
-        f"{name} turns them alike (the same of headings)", float(np.median(turned)), 0.1, own=True
-    )
-    yield at_least(
-        f"{name} ends in a good alignment (share within 5 cm and 0.5 degrees of the truth)",
-        np.mean(near),
-        0.9,
-        why=why,
-        own=True,
-    )
+    text = f"{name} brings the scans together (distance from the truth, after over before, median)"
+    yield at_most(text, np.median(left), 0.1, own=True)
+    text = f"{name} turns them alike (the same of headings)"
+    yield at_most(text, float(np.median(turned)), 0.1, own=True)
+    text = f"{name} ends in a good alignment (share within 5 cm and 0.5 degrees of the truth)"
+    yield at_least(text, np.mean(near), 0.9, why=why, own=True)
 
 
 def _draw(axis: Axes, found: Scans, error: Array, title: str) -> None:
@@ -226,7 +205,7 @@ def _reported(error: Array) -> str:
 
 EXPERIMENT = Experiment("section 5.3.1, two scans", scans, library="open3d")
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N5.5", title="Two scans aligned as sums of Gaussians",
         says="Two scans of an office, displaced, are laid onto each other by the maximum of their "

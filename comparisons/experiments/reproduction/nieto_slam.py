@@ -15,6 +15,14 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.consistency.nees import PoseErrors, pose_errors
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.claims import (
+    Claims,
+    at_least,
+    at_most,
+    elsewhere,
+    theirs,
+    within,
+)
 from comparisons.experiments.reproduction.drawing import (
     Place,
     chart,
@@ -23,18 +31,7 @@ from comparisons.experiments.reproduction.drawing import (
     mark,
     plan,
 )
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-    theirs,
-    within,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
@@ -250,17 +247,11 @@ def claims_2_8(loops: Loops) -> Claims:
         left.append(d.poses.error[open_ & (east <= low), :2])
         right.append(d.poses.error[open_ & (east >= high), :2])
     before, after = ([getattr(d, name).error_m for d in loops.drives] for name in _SIDES)
-    yield at_least(
-        "before the loop closes the path errs most on its left third (RMS over the right's)",
-        rms(*left) / rms(*right),
-        1.0,
-        why=elsewhere("our loop begins at the right, where the thesis begins at the bottom"),
-    )
-    yield at_most(
-        "closing the loop reduces the landmarks' error (RMS after over before)",
-        rms(*after) / rms(*before),
-        1.0,
-    )
+    why = elsewhere("our loop begins at the right, where the thesis begins at the bottom")
+    text = "before the loop closes the path errs most on its left third (RMS over the right's)"
+    yield at_least(text, rms(*left) / rms(*right), 1.0, why=why)
+    text = "closing the loop reduces the landmarks' error (RMS after over before)"
+    yield at_most(text, rms(*after) / rms(*before), 1.0)
 
 
 _SIDES = ("before", "after")
@@ -281,35 +272,28 @@ def claims_2_9(loops: Loops) -> Claims:
         for when in _SIDES
         for what in ("error_m", "sigma_m")
     )
-    yield at_least(
+    text = (
         "the far landmarks lie within their 3-sigma ellipses before the loop closes (share, of "
-        "the drive drawn)",
-        inside[0].mean(),
-        1.0,
+        "the drive drawn)"
     )
-    yield within(
+    yield at_least(text, inside[0].mean(), 1.0)
+    text = (
         "over drives the farthest landmark's error is as large as stated (mean NEES; limits: "
-        "its 95 % band)",
-        np.mean(farthest),
-        mean_band(len(drives), 2),
-        why=_TOO_SURE,
+        "its 95 % band)"
     )
+    yield within(text, np.mean(farthest), mean_band(len(drives), 2), why=_TOO_SURE)
     yield at_most("their error falls with the closing (ratio)", error_after / error_before, 1)
-    yield at_most(
-        "their uncertainty falls with the closing (ratio)",
-        sigma_after / sigma_before,
-        1.0,
+    text = "their uncertainty falls with the closing (ratio)"
+    yield at_most(text, sigma_after / sigma_before, 1.0)
+    why = theirs(
+        "the landmarks of one drive share their error, so that one drive in ten decides "
+        "this number; the NEES above takes one landmark a drive"
     )
-    yield at_least(
+    text = (
         "and over all drives as many far landmarks lie within their ellipses as of a Gaussian "
-        "(share)",
-        np.mean(np.concatenate(inside)),
-        SHARE_WITHIN_3_SIGMA,
-        why=theirs(
-            "the landmarks of one drive share their error, so that one drive in ten decides "
-            "this number; the NEES above takes one landmark a drive"
-        ),
+        "(share)"
     )
+    yield at_least(text, np.mean(np.concatenate(inside)), SHARE_WITHIN_3_SIGMA, why=why)
 
 
 def claims_2_10(loops: Loops) -> Claims:
@@ -327,18 +311,13 @@ def claims_2_10(loops: Loops) -> Claims:
         [d.poses.pose.squared[np.searchsorted(d.poses.time_s, d.before.time_s)] for d in drives]
     )
     growth = max(float(np.max(d.first_landmark_m[1:] / d.first_landmark_m[:-1])) for d in drives)
-    yield within(
+    text = (
         "before the loop closes the pose's error is as large as stated (mean NEES over drives; "
-        "limits: its 95 % band)",
-        squared.mean(),
-        mean_band(len(drives), 3),
-        why=_TOO_SURE,
+        "limits: its 95 % band)"
     )
-    yield at_most(
-        "a landmark's uncertainty never grows (largest ratio from scan to scan)",
-        growth,
-        1.0 + 1e-9,
-    )
+    yield within(text, squared.mean(), mean_band(len(drives), 3), why=_TOO_SURE)
+    text = "a landmark's uncertainty never grows (largest ratio from scan to scan)"
+    yield at_most(text, growth, 1.0 + 1e-9)
 
 
 def _within(d: LoopDrive, column: int) -> NDArray[np.bool_]:
@@ -352,30 +331,21 @@ def claims_2_11(loops: Loops) -> Claims:
         for name in ("before", "after", "end")
     )
     quarter = [len(d.quarter.landmark) / len(d.before.landmark) for d in loops.drives]
-    yield at_most(
-        "after a quarter of the loop not all landmarks are in (share)", max(quarter), 0.99, own=True
-    )
-    yield at_least(
-        "closing the loop makes the map more correlated (mean coefficient, least ratio)",
-        np.min(after / before),
-        1.0,
-    )
-    yield at_least(
-        "further loops make it more correlated still (mean coefficient, least ratio)",
-        np.min(end / after),
-        1.0,
-    )
+    text = "after a quarter of the loop not all landmarks are in (share)"
+    yield at_most(text, max(quarter), 0.99, own=True)
+    text = "closing the loop makes the map more correlated (mean coefficient, least ratio)"
+    yield at_least(text, np.min(after / before), 1.0)
+    text = "further loops make it more correlated still (mean coefficient, least ratio)"
+    yield at_least(text, np.min(end / after), 1.0)
 
 
 def claims_2_12(found: Fixed) -> Claims:
     """A few absolute observations take the correlation away."""
-    yield at_most(
+    text = (
         f"{len(found.fix_s)} positions reduce the map's correlation rapidly (mean coefficient, "
-        "after over before)",
-        found.after.mean_correlation / found.before.mean_correlation,
-        0.5,
-        own=True,
+        "after over before)"
     )
+    yield at_most(text, found.after.mean_correlation / found.before.mean_correlation, 0.5, own=True)
 
 
 def claims_3_4(loops: Loops) -> Claims:
@@ -397,30 +367,15 @@ def claims_3_4(loops: Loops) -> Claims:
         far_sigma.append(unlike[far])
         near_move.append(differing[near])
         moved.append(np.linalg.norm(move, axis=1))
-    yield at_least(
-        f"landmarks within {NEAR_M:.0f} m of each other are highly correlated (mean)",
-        np.mean(np.concatenate(near_rho)),
-        0.9,
-        why=elsewhere("those around the start are known too well to share an error"),
-        own=True,
-    )
-    yield at_most(
-        f"those more than {FAR_M:.0f} m apart are less so (mean over the near ones')",
-        np.mean(np.concatenate(far_rho)) / np.mean(np.concatenate(near_rho)),
-        1.0,
-    )
-    yield at_most(
-        "close landmarks are about equally uncertain (log ratio of sigmas, near over far)",
-        rms(*near_sigma) / rms(*far_sigma),
-        0.5,
-        own=True,
-    )
-    yield at_most(
-        "the closing moves close landmarks alike (difference over motion, RMS)",
-        rms(*near_move) / rms(*moved),
-        0.5,
-        own=True,
-    )
+    why = elsewhere("those around the start are known too well to share an error")
+    text = f"landmarks within {NEAR_M:.0f} m of each other are highly correlated (mean)"
+    yield at_least(text, np.mean(np.concatenate(near_rho)), 0.9, why=why, own=True)
+    text = f"those more than {FAR_M:.0f} m apart are less so (mean over the near ones')"
+    yield at_most(text, np.mean(np.concatenate(far_rho)) / np.mean(np.concatenate(near_rho)), 1.0)
+    text = "close landmarks are about equally uncertain (log ratio of sigmas, near over far)"
+    yield at_most(text, rms(*near_sigma) / rms(*far_sigma), 0.5, own=True)
+    text = "the closing moves close landmarks alike (difference over motion, RMS)"
+    yield at_most(text, rms(*near_move) / rms(*moved), 0.5, own=True)
 
 
 _LONGER = 10.0
@@ -500,7 +455,7 @@ def draw_3_4(canvas: Canvas, loops: Loops) -> None:
         axes[1].plot(*np.stack((start, shown)).T, "-", color=SMOOTHER_COLOUR, linewidth=1.2)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N2.8", title="Feature SLAM before and after a loop closes",
         says="On a loop of 255 m the estimate drifts, most at the far side, and closing the loop "

@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 
 from comparisons.experiments.reproduction import nieto_known_poses
-from comparisons.experiments.reproduction.interface import (
-    DATA_FOLDERS,
-    AnyFigure,
-    Claim,
-    at_least,
-    at_most,
-    ours,
-    within,
-)
+from comparisons.experiments.reproduction.claims import Claim, at_least, at_most, ours, within
+from comparisons.experiments.reproduction.interface import DATA_FOLDERS, AnyFigure
 from comparisons.experiments.reproduction.nieto_dense import LITERALLY
 from comparisons.experiments.reproduction.registry import FIGURES
 from comparisons.report.picture import blank
