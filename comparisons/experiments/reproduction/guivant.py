@@ -23,9 +23,9 @@ from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
+from comparisons.experiments.reproduction.drives import truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
-from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.report.figures.style import draw_reference, draw_trajectory
@@ -122,7 +122,7 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
     for time_s, ekf, fused in _epochs(log, choices, positions, trace):
         time.append(time_s)
         pose.append(ekf.read_pose().pose)
-        sigma.append(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2])))
+        sigma.append(_sigma_m(ekf))
         maps.append(np.sqrt(np.diag(ekf.state.covariance)[3:].reshape(-1, 2).sum(axis=1)))
         if fused and first < 0:
             first = len(time) - 1
@@ -131,13 +131,8 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
     if first < 0:
         raise InputError(f"{log.name}: no position was accepted after {ALONE_S:.0f} s")
     none = positions.chosen(np.zeros(0, dtype=np.intp))
-    alone_s, alone = zip(
-        *(
-            (time_s, float(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2]))))
-            for time_s, ekf, _ in _epochs(log, choices, none, Trace())
-        ),
-        strict=True,
-    )
+    epochs = _epochs(log, choices, none, Trace())
+    alone_s, alone = np.array([(time_s, _sigma_m(ekf)) for time_s, ekf, _ in epochs]).T
     at = np.array(time)
     whole = np.full((len(at), WATCHED), np.nan)
     chosen = np.linspace(0, len(maps[first]) - 1, WATCHED + 2).astype(int)[:WATCHED]
@@ -158,6 +153,11 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
         parts=parts,
         true=None if log.truth.poses is None else log.truth.poses.at(at)[:, :2],
     )
+
+
+def _sigma_m(ekf: Ekf) -> float:
+    """Of the position, both axes together."""
+    return float(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2])))
 
 
 def _epochs(
@@ -185,7 +185,7 @@ def covered(sources: Sources) -> Covered:
         raise InputError(f"{log.name}: holds no positions")
     run = run_ekf(log, build_timeline(log, positions), choices, positions)
     time, path = run.estimate.time_s, run.estimate.pose[:, :2]
-    apart = np.abs(time - nearest(positions.time_s, time))
+    apart = cKDTree(positions.time_s[:, None]).query(time[:, None])[0]
     trees = cKDTree(run.estimate.landmark)
     return Covered(
         f"{log.name}, --gps on, --filter compressed",
@@ -194,14 +194,6 @@ def covered(sources: Sources) -> Covered:
         apart <= _GAP_S,
         trees.query_ball_point(path, NEAR_M, return_length=True).astype(np.int64),
     )
-
-
-def nearest(values: Array, at: Array) -> Array:
-    """(N,) of ascending values (G,), the nearest to each of (N,)."""
-    after = np.clip(np.searchsorted(values, at), 1, len(values) - 1)
-    low, high = values[after - 1], values[after]
-    result: Array = np.where(at - low <= high - at, low, high)
-    return result
 
 
 AIDED = Experiment("Guivant's Figs. 8 and 9", aided)

@@ -21,15 +21,15 @@ from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
+from comparisons.experiments.reproduction.drives import Drives, truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
-from comparisons.experiments.reproduction.watched_run import truth_in_order
+from comparisons.experiments.reproduction.measures import rms
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
-from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.motion import RelativePoseModel
@@ -79,15 +79,7 @@ class Estimated:
 
     def rms_m(self, name: str) -> float:
         """Root mean square of them."""
-        return float(np.sqrt(np.mean(np.square(self.error_m(name)))))
-
-
-@dataclass(frozen=True)
-class Drives:
-    """Of several seeds; the first is drawn."""
-
-    log: str
-    each: tuple[Estimated, ...]
+        return rms(self.error_m(name))
 
 
 @dataclass(frozen=True)
@@ -122,12 +114,50 @@ def _estimate(log: Log, filter_name: str, aided: bool) -> Array:
     return run_ekf(log, timeline, choices, positions).estimate.pose
 
 
+class FilterNavigator:
+    """Misono's filter from the base on, as Navigator of the waypoint run.
+
+    It takes in measurements and positions as far as it is given them, and without any it is dead
+    reckoning.
+    """
+
+    def __init__(self, given: Given) -> None:
+        """The filter as published has no gate."""
+        self.given, complete = given, given.filter == "misono-full"
+        self.ekf = DirectionCosineEkf(
+            RelativePoseModel(),
+            KnownAssociation() if given.aided else EuclideanNeighbour(),
+            np.zeros(3),
+            1e-10 * np.eye(3),
+            options=DirectionCosineOptions(
+                full_jacobian=complete, renormalise=complete, stacked=complete
+            ),
+        )
+        if not complete:
+            self.ekf.fixes = replace(self.ekf.fixes, gate=NO_GATE)
+
+    def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
+        """Predict; the truth stays unread."""
+        self.ekf.predict(displacement, covariance, 0.0)
+
+    def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
+        """Associate and update."""
+        if self.given.filter and len(z):
+            self.ekf.observe(z, sigma, landmark)
+
+    def fixed(self, position: Array, covariance: Array) -> None:
+        """Fuse the position."""
+        if self.given.filter and self.given.aided:
+            self.ekf.fix_position(position, covariance)
+
+    def pose(self) -> Array:
+        """(3,) the filter's estimate."""
+        return self.ekf.read_pose().pose
+
+
 def navigated(seed: int, name: str) -> Array | None:
     """True poses (N, 3) of a drive that an estimate steers; None when the filter broke down."""
-    given = ESTIMATORS[name]
-    pilot = direction_cosine_navigator(
-        complete=given.filter == "misono-full", slam=bool(given.filter), aided=given.aided
-    )
+    pilot = FilterNavigator(ESTIMATORS[name])
     try:
         log = simulate(np.random.default_rng(seed), WaypointRun(), pilot)
     except FilterDivergedError:
@@ -135,7 +165,7 @@ def navigated(seed: int, name: str) -> Array | None:
     return truth_in_order(log)[0].pose
 
 
-def drives(sources: Sources) -> Drives:
+def drives(sources: Sources) -> Drives[Estimated]:
     """Seeds from 0."""
     name = f"waypoint-run, {sources.drives} drives from seed 0"
     return Drives(name, tuple(estimated(seed) for seed in range(sources.drives)))
@@ -145,12 +175,11 @@ def journeys(sources: Sources) -> Journeys:
     """Seeds from 0, each steered by every estimator."""
     name = f"waypoint-run steered by its estimate, {sources.drives} drives from seed 0"
     return Journeys(
-        name,
-        {e: tuple(navigated(seed, e) for seed in range(sources.drives)) for e in ESTIMATORS},
+        name, {e: tuple(navigated(seed, e) for seed in range(sources.drives)) for e in ESTIMATORS}
     )
 
 
-def claims_5(found: Drives) -> Claims:
+def claims_5(found: Drives[Estimated]) -> Claims:
     """Errors of dead reckoning accumulate; those of SLAM are cancelled."""
 
     def median(name: str) -> float:
@@ -185,7 +214,7 @@ def claims_6(found: Journeys) -> Claims:
     yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True)
 
 
-def draw_5(canvas: Canvas, found: Drives) -> None:
+def draw_5(canvas: Canvas, found: Drives[Estimated]) -> None:
     """SLAM left, dead reckoning right, as in the paper."""
     one, (left, right) = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     draw_estimates(left, one, DRAWN[1:], "(a) estimated by SLAM")
@@ -236,57 +265,3 @@ FIGURES = (
         size=(6.5, 6.0), place="Fig. 6 (there a real robot, here the simulated one)",
     ),
 )  # fmt: skip
-
-
-class FilterNavigator:
-    """A filter with a relative-pose motion model, as Navigator of the waypoint run."""
-
-    def __init__(self, ekf: Ekf, *, use_measurements: bool = True, use_fixes: bool = True) -> None:
-        """ekf: at its prior. Without measurements and fixes it is dead reckoning."""
-        self.ekf = ekf
-        self.use_measurements = use_measurements
-        self.use_fixes = use_fixes
-        self.path: list[Array] = [self.pose()]
-
-    def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
-        """Predict; the truth stays unread."""
-        self.ekf.predict(displacement, covariance, 0.0)
-        self.path.append(self.pose())
-
-    def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
-        """Associate and update."""
-        if self.use_measurements and len(z):
-            self.ekf.observe(z, sigma, landmark)
-            self.path[-1] = self.pose()
-
-    def fixed(self, position: Array, covariance: Array) -> None:
-        """Fuse the position."""
-        if self.use_fixes:
-            self.ekf.fix_position(position, covariance)
-            self.path[-1] = self.pose()
-
-    def pose(self) -> Array:
-        """(3,) the filter's estimate."""
-        return self.ekf.read_pose().pose
-
-
-def direction_cosine_navigator(
-    *, complete: bool, slam: bool = True, aided: bool = False
-) -> FilterNavigator:
-    """Misono's filter at the base, as published or complete; without `slam` it dead reckons.
-
-    aided: it is given labels and positions; else landmarks go by eq. 17, and there are none.
-    """
-    rule = KnownAssociation() if aided else EuclideanNeighbour()
-    ekf = DirectionCosineEkf(
-        RelativePoseModel(),
-        rule,
-        np.zeros(3),
-        1e-10 * np.eye(3),
-        options=DirectionCosineOptions(
-            full_jacobian=complete, renormalise=complete, stacked=complete
-        ),
-    )
-    if not complete:
-        ekf.fixes = replace(ekf.fixes, gate=NO_GATE)
-    return FilterNavigator(ekf, use_measurements=slam, use_fixes=slam and aided)

@@ -237,9 +237,7 @@ def claims_5_12(found: CarParkScans) -> Claims:
     """Where a template's points come to lie."""
     yield _on_the_scan("the alignment lays the template on the scan", found.published)
     yield _on_the_scan(
-        f"so it does {_JOINED}",
-        found.joined,
-        "; half of a joined template need be in view",
+        f"so it does {_JOINED}", found.joined, "; half of a joined template need be in view"
     )
 
 

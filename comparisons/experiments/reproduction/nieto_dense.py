@@ -30,9 +30,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
 from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, frame, plan
+from comparisons.experiments.reproduction.drives import truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import ellipses_of, occupied, true_segments
-from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import (
     OCCUPIED,
     SurfaceError,

@@ -23,10 +23,10 @@ from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere, ours
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, draw_lines, frame, plan
+from comparisons.experiments.reproduction.drives import truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.nieto_dense import MORE, enclosed
-from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces

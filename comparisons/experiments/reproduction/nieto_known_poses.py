@@ -16,9 +16,9 @@ from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs, within
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
+from comparisons.experiments.reproduction.drives import truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import occupied
-from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_surfaces

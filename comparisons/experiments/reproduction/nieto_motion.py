@@ -56,13 +56,7 @@ from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Single
 from ekf_reference.dense.sensor_model import log_odds
 from ekf_reference.dense.triangles import to_global
-from ekf_reference.scan_landmarks.high_level import (
-    Around,
-    Search,
-    SearchOptions,
-    to_world,
-    within,
-)
+from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, to_world, within
 
 _DYNAMIC_COLOUR = "#e08a1e"
 _MOST_DRIVES = 3

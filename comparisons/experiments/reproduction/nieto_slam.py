@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.nees import PoseErrors, pose_errors
@@ -31,13 +30,13 @@ from comparisons.experiments.reproduction.drawing import (
     mark,
     plan,
 )
+from comparisons.experiments.reproduction.drives import Drives, truth_in_order, watched_run
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
     rms,
 )
-from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive
@@ -45,6 +44,7 @@ from comparisons.report.figures.style import draw_correlation
 from comparisons.report.marks import SMOOTHER_COLOUR
 from comparisons.statistics import mean_band, normalise
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import correlation_coefficients
 
 LOOPS = 3
@@ -105,6 +105,12 @@ class Moment:
         pairs = np.triu_indices(n, 1)
         return float(np.mean([rho[axis::2, axis::2][pairs] for axis in (0, 1)]))
 
+    def among(self, *landmark_index: int) -> Array:
+        """(2 k, 2 k) covariance of k landmarks, in this order."""
+        layout = Layout.packed(3, len(self.landmark))
+        columns = layout.columns(np.array(landmark_index))[3:]
+        return self.covariance[np.ix_(columns, columns)]
+
     def far(self, start: Array) -> Array:
         """(L,) which landmarks are among the third that is farthest from a place (2,)."""
         distance = np.linalg.norm(self.true - start, axis=1)
@@ -120,7 +126,6 @@ class LoopDrive:
     the start is seen again, at the end of the first loop, and after all loops.
     """
 
-    source: Log
     pose: Array
     poses: PoseErrors
     first_landmark_m: Array
@@ -134,14 +139,6 @@ class LoopDrive:
         """(T, 2) at the scans."""
         path: Array = (self.pose - self.poses.error)[:, :2]
         return path
-
-
-@dataclass(frozen=True)
-class Loops:
-    """Several drives; the first is drawn."""
-
-    log: str
-    drives: tuple[LoopDrive, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,14 +156,12 @@ class Fixed:
     mean_correlation: Array
 
 
-def loops(sources: Sources) -> Loops:
+def loops(sources: Sources) -> Drives[LoopDrive]:
     """Drives of three loops, seeds from 0."""
-    each = [
-        open_log("simulated-loop", choices=SimulationChoices(seed, LOOPS))
-        for seed in range(sources.drives)
-    ]
-    name = f"simulated-loop --loops {LOOPS}, {len(each)} drives from seed 0"
-    return Loops(name, tuple(loop_drive(log) for log in each))
+    seeds = range(sources.drives)
+    logs = (open_log("simulated-loop", choices=SimulationChoices(seed, LOOPS)) for seed in seeds)
+    name = f"simulated-loop --loops {LOOPS}, {len(seeds)} drives from seed 0"
+    return Drives(name, tuple(loop_drive(log) for log in logs))
 
 
 def loop_drive(log: Log) -> LoopDrive:
@@ -191,9 +186,7 @@ def loop_drive(log: Log) -> LoopDrive:
                 kept[name] = Moment.of(time_s, ekf, true)
     at = np.array(time)
     errors = pose_errors(at, np.array(pose), np.array(spread), poses.at(at))
-    return LoopDrive(
-        source=log, pose=np.array(pose), poses=errors, first_landmark_m=np.array(first), **kept
-    )
+    return LoopDrive(pose=np.array(pose), poses=errors, first_landmark_m=np.array(first), **kept)
 
 
 def fixed(sources: Sources) -> Fixed:
@@ -234,19 +227,20 @@ def closing_s(log: Log) -> float:
 
 NEAR_M, FAR_M = 12.0, 50.0
 """Landmarks nearer than that are close to each other; farther ones are not."""
+_SIDES = ("before", "after")
 _TOO_SURE = theirs("EKF-SLAM grows too sure as its heading errs; see `slamcheck montecarlo`")
 
 
-def claims_2_8(loops: Loops) -> Claims:
+def claims_2_8(found: Drives[LoopDrive]) -> Claims:
     """The largest error is at the far side; closing the loop corrects the map."""
     left, right = [], []
-    for d in loops.drives:
+    for d in found.each:
         east = d.true_path[:, 0]
         open_ = d.poses.time_s <= d.before.time_s
         low, high = np.quantile(east, (1.0 / 3.0, 2.0 / 3.0))
         left.append(d.poses.error[open_ & (east <= low), :2])
         right.append(d.poses.error[open_ & (east >= high), :2])
-    before, after = ([getattr(d, name).error_m for d in loops.drives] for name in _SIDES)
+    before, after = ([getattr(d, name).error_m for d in found.each] for name in _SIDES)
     why = elsewhere("our loop begins at the right, where the thesis begins at the bottom")
     text = "before the loop closes the path errs most on its left third (RMS over the right's)"
     yield at_least(text, rms(*left) / rms(*right), 1.0, why=why)
@@ -254,12 +248,9 @@ def claims_2_8(loops: Loops) -> Claims:
     yield at_most(text, rms(*after) / rms(*before), 1.0)
 
 
-_SIDES = ("before", "after")
-
-
-def claims_2_9(loops: Loops) -> Claims:
+def claims_2_9(found: Drives[LoopDrive]) -> Claims:
     """Of the far part of the map: errors lie within the ellipses, and both shrink."""
-    drives = loops.drives
+    drives = found.each
     far = [d.before.far(d.true_path[0]) for d in drives]
     each = list(zip(drives, far, strict=True))
     inside = [d.before.squared[f] <= THREE_SIGMA_SQUARED for d, f in each]
@@ -296,17 +287,13 @@ def claims_2_9(loops: Loops) -> Claims:
     yield at_least(text, np.mean(np.concatenate(inside)), SHARE_WITHIN_3_SIGMA, why=why)
 
 
-def claims_2_10(loops: Loops) -> Claims:
+def claims_2_10(found: Drives[LoopDrive]) -> Claims:
     """Errors are as large as stated; a landmark's uncertainty only ever falls."""
-    drives = loops.drives
-    for i, name in enumerate(("east", "north", "heading")):
-        yield at_least(
-            f"the error in {name} stays within 3 sigma (share of all scans of all drives)",
-            np.mean(np.concatenate([_within(d, i) for d in drives])),
-            0.99,
-            why=_TOO_SURE,
-            own=True,
-        )
+    drives = found.each
+    inside = np.concatenate([np.abs(d.poses.error) <= 3.0 * d.poses.sigma for d in drives])
+    for name, share in zip(("east", "north", "heading"), inside.mean(axis=0), strict=True):
+        text = f"the error in {name} stays within 3 sigma (share of all scans of all drives)"
+        yield at_least(text, share, 0.99, why=_TOO_SURE, own=True)
     squared = np.array(
         [d.poses.pose.squared[np.searchsorted(d.poses.time_s, d.before.time_s)] for d in drives]
     )
@@ -320,17 +307,13 @@ def claims_2_10(loops: Loops) -> Claims:
     yield at_most(text, growth, 1.0 + 1e-9)
 
 
-def _within(d: LoopDrive, column: int) -> NDArray[np.bool_]:
-    return np.abs(d.poses.error[:, column]) <= 3.0 * d.poses.sigma[:, column]
-
-
-def claims_2_11(loops: Loops) -> Claims:
+def claims_2_11(found: Drives[LoopDrive]) -> Claims:
     """The map grows more correlated by the closing, and by every further loop."""
     before, after, end = (
-        np.array([getattr(d, name).mean_correlation for d in loops.drives])
-        for name in ("before", "after", "end")
+        np.array([getattr(d, name).mean_correlation for d in found.each])
+        for name in (*_SIDES, "end")
     )
-    quarter = [len(d.quarter.landmark) / len(d.before.landmark) for d in loops.drives]
+    quarter = [len(d.quarter.landmark) / len(d.before.landmark) for d in found.each]
     text = "after a quarter of the loop not all landmarks are in (share)"
     yield at_most(text, max(quarter), 0.99, own=True)
     text = "closing the loop makes the map more correlated (mean coefficient, least ratio)"
@@ -348,10 +331,10 @@ def claims_2_12(found: Fixed) -> Claims:
     yield at_most(text, found.after.mean_correlation / found.before.mean_correlation, 0.5, own=True)
 
 
-def claims_3_4(loops: Loops) -> Claims:
+def claims_3_4(found: Drives[LoopDrive]) -> Claims:
     """What is close is correlated, equally uncertain, and corrected alike."""
     near_rho, far_rho, near_sigma, far_sigma, near_move, moved = [], [], [], [], [], []
-    for d in loops.drives:
+    for d in found.each:
         m = d.before
         first, second = np.triu_indices(len(m.landmark), 1)
         apart = np.linalg.norm(m.landmark[first] - m.landmark[second], axis=1)
@@ -389,27 +372,27 @@ def _moment(
     plan(axis, title, legend=legend)
 
 
-def draw_2_8(canvas: Canvas, loops: Loops) -> None:
+def draw_2_8(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     """Before and after the closing."""
-    d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
+    d, axes = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     title = f"before the loop closes, {d.before.time_s:.1f} s"
     _moment(axes[0], d, d.before, title, legend="center")
     _moment(axes[1], d, d.after, f"after, {d.after.time_s:.1f} s")
 
 
-def draw_2_9(canvas: Canvas, loops: Loops) -> None:
+def draw_2_9(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     """The same, where the map is farthest from the start."""
-    draw_2_8(canvas, loops)
-    d = loops.drives[0]
+    draw_2_8(canvas, found)
+    d = found.each[0]
     canvas.axes[0].legend(fontsize=8, loc="lower right")
     west, north = d.true_path[:, 0].min(), d.true_path[:, 1].max()
     for axis in canvas.axes:
         axis.set(xlim=(west - 10.0, west + 35.0), ylim=(north - 35.0, north + 10.0))
 
 
-def draw_2_10(canvas: Canvas, loops: Loops) -> None:
+def draw_2_10(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     """Errors of the pose between their bounds, and one landmark's deviations."""
-    d = loops.drives[0]
+    d = found.each[0]
     axes = canvas.subplots(2, 2).ravel()
     names = (("east", "m", 1.0), ("north", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
     for i, (name, unit, scale) in enumerate(names):
@@ -423,9 +406,9 @@ def draw_2_10(canvas: Canvas, loops: Loops) -> None:
     chart(axes[3], "deviation of the first landmark", "time [s]", "sigma [m]")
 
 
-def draw_2_11(canvas: Canvas, loops: Loops) -> None:
+def draw_2_11(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     """Four normalised covariance matrices."""
-    d = loops.drives[0]
+    d = found.each[0]
     titles = ("a quarter of the loop", "before the closing", "after it", "after three loops")
     moments = (d.quarter, d.before, d.after, d.end)
     for axis, m, title in zip(canvas.subplots(2, 2).ravel(), moments, titles, strict=True):
@@ -445,9 +428,9 @@ def draw_2_12(canvas: Canvas, found: Fixed) -> None:
     chart(axes[2], "positions (dotted)", "time [s]", "mean coefficient", legend=None)
 
 
-def draw_3_4(canvas: Canvas, loops: Loops) -> None:
+def draw_3_4(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     """Ellipses before the closing, and where it takes the landmarks."""
-    d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
+    d, axes = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     _moment(axes[0], d, d.before, "neighbours are alike in their uncertainty", legend="center")
     _moment(axes[1], d, d.after, f"and in how the closing moves them ({_LONGER:g} times)")
     for start, end in zip(d.before.landmark, d.after.landmark, strict=False):

@@ -16,12 +16,12 @@ from matplotlib.figure import Figure as Canvas
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs
 from comparisons.experiments.reproduction.drawing import chart
+from comparisons.experiments.reproduction.drives import Drives
 from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.jobs.run import compare
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
-from ekf_reference.core.landmark_types import POINT
 
 FOLDER = "mrclam"
 ONE = "one update"
@@ -40,13 +40,11 @@ _COLOURS = (TRUTH_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR)
 class SplitRun:
     """A filter with one splitting of its updates. gap: linearisation gap [smoother's sigma].
 
-    optimism: its variance over the smoother's in the worst direction. parts: of an update, mean
-    over the measurements that were fused.
+    optimism: its variance over the smoother's in the worst direction.
     """
 
     gap: float
     optimism: float
-    parts: float
 
 
 @dataclass(frozen=True)
@@ -57,18 +55,10 @@ class SplitLog:
     runs: Mapping[str, SplitRun]
 
 
-@dataclass(frozen=True)
-class Split:
-    """Every kind of log."""
-
-    log: str
-    each: tuple[SplitLog, ...]
-
-
-def split(sources: Sources) -> Split:
+def split(sources: Sources) -> Drives[SplitLog]:
     """Run every splitting on every log."""
     found = tuple(_median(name, [runs(log) for log in logs]) for name, logs in _logs(sources))
-    return Split("; ".join(one.name for one in found), found)
+    return Drives("; ".join(one.name for one in found), found)
 
 
 def _logs(sources: Sources) -> Iterator[tuple[str, list[Log]]]:
@@ -88,30 +78,21 @@ def runs(log: Log) -> dict[str, SplitRun]:
     """Run every splitting on one log."""
     found: dict[str, SplitRun] = {}
     for name, bounds in SPLITS.items():
-        c = compare(log, RunConfig(ekf=EkfConfig.of(**bounds)))
-        number = c.ekf.trace.measurements[POINT].number
-        found[name] = SplitRun(
-            gap=c.agreement.linearisation.sigma,
-            optimism=c.agreement.optimism,
-            parts=len(number) / len(np.unique(number)),
-        )
+        said = compare(log, RunConfig(ekf=EkfConfig.of(**bounds))).agreement
+        found[name] = SplitRun(gap=said.linearisation.sigma, optimism=said.optimism)
     return found
 
 
 def _median(name: str, drives: list[dict[str, SplitRun]]) -> SplitLog:
-    runs = {
-        split: SplitRun(
-            **{
-                field: float(np.median([getattr(drive[split], field) for drive in drives]))
-                for field in ("gap", "optimism", "parts")
-            }
-        )
-        for split in SPLITS
-    }
+    runs = {}
+    for split in SPLITS:
+        each = [(drive[split].gap, drive[split].optimism) for drive in drives]
+        gap, optimism = np.median(each, axis=0).tolist()
+        runs[split] = SplitRun(gap=gap, optimism=optimism)
     return SplitLog(name, runs)
 
 
-def claims(found: Split) -> Claims:
+def claims(found: Drives[SplitLog]) -> Claims:
     """Parts work better than one update."""
     for one in found.each:
         whole, *finer = one.runs.items()
@@ -135,7 +116,7 @@ def claims(found: Split) -> Claims:
             )
 
 
-def draw(canvas: Canvas, found: Split) -> None:
+def draw(canvas: Canvas, found: Drives[SplitLog]) -> None:
     """Gap and optimism by log and splitting."""
     axes = canvas.subplots(1, 2)
     place = np.arange(len(found.each))

@@ -29,6 +29,7 @@ from comparisons.experiments.reproduction import (
     nieto_slam,
     update_split,
 )
+from comparisons.experiments.reproduction.drives import Drives
 from comparisons.experiments.reproduction.interface import Sources
 from comparisons.experiments.reproduction.nieto_motion import DynamicScore
 from comparisons.extensions.dense_maps.accuracy import surface_error
@@ -71,14 +72,14 @@ def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round
     )
 
 
-def splits() -> update_split.Split:
+def splits() -> Drives[update_split.SplitLog]:
     """Each finer splitting is a little better."""
     runs = {
-        name: update_split.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k, parts=1.0 + k)
+        name: update_split.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k)
         for k, name in enumerate(update_split.SPLITS)
     }
     each = tuple(update_split.SplitLog(name, runs) for name in ("a loop", "another"))
-    return update_split.Split("made up", each)
+    return Drives("made up", each)
 
 
 def final_map() -> nieto_fastslam.FinalMap:
