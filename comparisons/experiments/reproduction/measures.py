@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.job import DenseMapping
-from comparisons.logs.log import Log
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.scan_landmarks.high_level import Around
@@ -23,6 +25,16 @@ def rms(*values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(every))))
 
 
+def mean(values: NDArray[Any] | Sequence[float]) -> float:
+    """NaN of none."""
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
+def median(values: NDArray[Any] | Sequence[float]) -> float:
+    """NaN of none."""
+    return float(np.median(values)) if len(values) else float("nan")
+
+
 def within_3_sigma(error: Array, covariance: Array) -> NDArray[np.bool_]:
     """(N,) which errors (N, 2) their covariances (N, 2, 2) explain."""
     solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
@@ -34,12 +46,6 @@ def occupied(samples: Samples) -> Array:
     """(N, 2) what a layer holds with a probability above 0.8."""
     point: Array = samples.point[samples.occupancy > OCCUPIED]
     return point
-
-
-def true_segments(log: Log) -> Array:
-    """(S, 4) true surfaces [m], none where the log knows none."""
-    surfaces = log.truth.surfaces
-    return np.empty((0, 4)) if surfaces is None else surfaces.segment
 
 
 def gaussians_of(mapping: DenseMapping) -> Gaussians:

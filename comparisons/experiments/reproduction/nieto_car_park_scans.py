@@ -23,14 +23,19 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claim, Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
-from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA
+from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, mean, median
 from comparisons.experiments.reproduction.nieto_car_park import (
     FOLDER,
     OTHER_LOG,
     OTHER_PART,
     off_gps,
 )
-from comparisons.experiments.reproduction.nieto_scan_slam import ScanMap, axes_at, scan_map
+from comparisons.experiments.reproduction.nieto_scan_slam import (
+    ScanMap,
+    axes_at,
+    first_measurements,
+    scan_map,
+)
 from comparisons.extensions.dense_maps.figure import draw_cloud
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
@@ -159,7 +164,7 @@ def _scan_slam(
     landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
     true = reference.at(estimate.time_s[run.pose_landmarks.pose])
     covariance = place_covariances(estimate)
-    first = np.unique(run.pose_landmarks.landmark, return_index=True)[1][landmark_indices]
+    first = first_measurements(run)[landmark_indices]
     return CarParkRun(
         templates=in_words(template_rule(source.options)),
         path=estimate.pose[:, :2],
@@ -175,8 +180,7 @@ def _scan_slam(
 def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Aligned, ...]:
     seen, found = run.pose_landmarks, []
     number = np.searchsorted(scans.time_s, run.estimate.time_s[seen.pose])
-    first = np.unique(seen.landmark, return_index=True)[1]
-    for row in np.setdiff1d(np.arange(len(seen.landmark)), first).tolist():
+    for row in np.setdiff1d(np.arange(len(seen.landmark)), first_measurements(run)).tolist():
         points = source.found.template[int(seen.landmark[row])].shape.mean
         template = planar.moved(seen.measured[row], points)
         scan = scans.scan(int(number[row]), np.zeros(3)).point
@@ -220,7 +224,7 @@ def claims_5_11(found: CarParkScans) -> Claims:
 
 def _consistent(text: str, run: CarParkRun) -> Claim:
     held, early = run.held, run.first_s < TURN_S
-    share = float(np.mean(held.within)) if len(held.landmark_index) else float("nan")
+    share = mean(held.within)
     sigma = np.sqrt(np.trace(held.covariance, axis1=1, axis2=2) / 2.0)
     why = elsewhere(
         f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
@@ -252,9 +256,7 @@ def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
         f"{text} (median distance of its points to the nearest return, median of all "
         "measurements used; limit: Table A.1's sigma of range)"
     )
-    return at_most(
-        text, float(np.median(off)) if off else float("nan"), limit_m, "m", why=why, own=True
-    )
+    return at_most(text, median(off), limit_m, "m", why=why, own=True)
 
 
 EXPERIMENT = Experiment("the car park, Scan-SLAM", car_park_scans, FOLDER)

@@ -30,9 +30,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
 from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, frame, plan
-from comparisons.experiments.reproduction.drives import truth_in_order
+from comparisons.experiments.reproduction.drives import true_surroundings, truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
-from comparisons.experiments.reproduction.measures import ellipses_of, occupied, true_segments
+from comparisons.experiments.reproduction.measures import ellipses_of, mean, median, occupied
 from comparisons.extensions.dense_maps.accuracy import (
     OCCUPIED,
     SurfaceError,
@@ -87,7 +87,7 @@ class ClosedMap:
     @property
     def segment(self) -> Array:
         """(S, 4) true surfaces [m]."""
-        return true_segments(self.mapping.log)
+        return true_surroundings(self.mapping.log)[1]
 
     def error_before(self, layer: str) -> SurfaceError:
         """Of a layer, before the closing."""
@@ -189,14 +189,10 @@ def _maps(experiment: ScanExperiment, layers: tuple[Layer, ...], sources: Source
         logs.append(simulate(np.random.default_rng(len(logs)), experiment))
         ours.append(map_log(logs[-1], _config(name, "recommended", layers=layers)))
     literal = [map_log(log, _config(name, "nieto-2005", layers=layers)) for log in logs]
-    reported = f"{name} with {MORE}, {len(ours)} drives from seed 0, {{}} of them corrected at once"
-    found = [_of_drives(reported, drives) for drives in (ours, literal)]
-    return replace(found[0], literal=found[1])
-
-
-def _of_drives(reported: str, drives: list[DenseMapping]) -> Maps:
-    closed = _closed(drives)
-    return Maps(reported.format(len(closed)), closed, tuple(drives))
+    reported = f"{name} with {MORE}, {len(ours)} drives from seed 0"
+    corrected = f"{len(_closed(ours))} of them corrected at once"
+    thesis = Maps(reported, _closed(literal), tuple(literal))
+    return Maps(f"{reported}, {corrected}", _closed(ours), tuple(ours), thesis)
 
 
 def _closed(drives: list[DenseMapping]) -> tuple[ClosedMap, ...]:
@@ -229,7 +225,7 @@ def rounds(sources: Sources) -> Rounds:
 
 
 def _rounds(log: Log, preset: Preset) -> Rounds:
-    segment, true = _segment(log), truth_in_order(log)[1]
+    segment, true = true_surroundings(log)[1], truth_in_order(log)[1]
     settings = _config(log.name, preset, layers=("occupancy", "particles", "points"))
     config = settings.extensions["dense_maps"]
     if not isinstance(config, DenseMapsConfig):
@@ -277,7 +273,7 @@ def coarsened(sources: Sources) -> Coarsened:
 
 
 def _coarsened(log: Log, preset: Preset) -> Coarsened:
-    segment = _segment(log)
+    segment = true_surroundings(log)[1]
     maps = [
         map_log(log, _config(log.name, preset, layers=("occupancy",), coarsening=rule))
         for rule in (Coarsening(), None)
@@ -312,13 +308,6 @@ def _grid(dense: DenseMap) -> OccupancyGrid:
     if not isinstance(layer, OccupancyGrid):
         raise TypeError(f"{type(layer).__name__} is no OccupancyGrid")
     return layer
-
-
-def _segment(log: Log) -> Array:
-    surfaces = log.truth.surfaces
-    if surfaces is None:
-        raise InputError(f"{log.name}: true surfaces are needed")
-    return surfaces.segment
 
 
 RAW = Experiment("section 3.9", raw_maps)
@@ -389,16 +378,6 @@ def _also_literally(
     return twice
 
 
-def _mean(values: Array | list[float]) -> float:
-    """NaN of none."""
-    return float(np.mean(values)) if len(values) else float("nan")
-
-
-def _median(values: Array | list[float]) -> float:
-    """NaN of none."""
-    return float(np.median(values)) if len(values) else float("nan")
-
-
 def _p95_on_true_landmarks(m: DenseMapping, layer: str) -> float:
     """95 % of a layer's distances [m], of one grid's in regions, with landmarks on the true ones.
 
@@ -410,44 +389,43 @@ def _p95_on_true_landmarks(m: DenseMapping, layer: str) -> float:
     else:
         held = m.layers[layer]
     move = rigid_motion(m.dense.landmark, truth_in_order(m.log)[1])
-    return error_of_points(move(occupied(held)), true_segments(m.log)).p95_m
+    return error_of_points(move(occupied(held)), true_surroundings(m.log)[1]).p95_m
 
 
-def _after_closing(then: Array, now: Array, best: list[float]) -> str:
-    """Why a closing does not correct more. then, now, best: 95 % of the distances [m] by drive."""
-    return (
-        f"{_median(then):.2f} m before and {_median(now):.2f} m after; with the landmarks moved "
-        f"onto the true ones {_median(best):.2f} m are left of it, the noise of the returns, which "
+def _corrected(text: str, maps: Maps, layer: str) -> Claims:
+    """What a closing takes away of a layer's distances to the surfaces. text: of the claim."""
+    then = np.array([m.error_before(layer).p95_m for m in maps.closed])
+    now = np.array([m.mapping.errors[layer].p95_m for m in maps.closed])
+    best = [_p95_on_true_landmarks(m.mapping, layer) for m in maps.closed]
+    why = ours(
+        f"{median(then):.2f} m before and {median(now):.2f} m after; with the landmarks moved "
+        f"onto the true ones {median(best):.2f} m are left of it, the noise of the returns, which "
         "no closing corrects"
     )
+    yield at_most(text, median(now / then), 0.5, why=why, own=True)
 
 
 @_also_literally({2: _FEW})
 def claims_3_17(maps: Maps) -> Claims:
     """The map errs most on the left, and closing the loop corrects all of it."""
-    then = np.array([m.error_before("points").p95_m for m in maps.closed])
-    now = np.array([m.mapping.errors["points"].p95_m for m in maps.closed])
-    best = [_p95_on_true_landmarks(m.mapping, "points") for m in maps.closed]
     tallies = [m.dense.dense.tally for m in maps.all_drives]
     left, right = [], []
     for m in maps.closed:
         point = occupied(m.before.layers["points"])
         distance = distance_to_segments(point, m.segment)
         west, east = m.thirds(point[:, 0])
-        left.append(_mean(distance[west]))
-        right.append(_mean(distance[east]))
+        left.append(mean(distance[west]))
+        right.append(mean(distance[east]))
     text = (
         "before the closing the dense map errs most at the left (mean distance to the "
         "surfaces, left third over right third)"
     )
-    yield at_least(text, _mean(left) / _mean(right), 1.0)
+    yield at_least(text, mean(left) / mean(right), 1.0)
     text = (
         "closing the loop corrects the whole dense map by a large part (95 % of the distances "
         "to the surfaces, after over before, median of drives)"
     )
-    yield at_most(
-        text, _median(now / then), 0.5, why=ours(_after_closing(then, now, best)), own=True
-    )
+    yield from _corrected(text, maps, "points")
     yield at_least(
         "regions cover the area (share of the returns that found a region, at once or late, "
         "all drives)",
@@ -473,7 +451,7 @@ def claims_3_18(maps: Maps) -> Claims:
         "the surfaces once the landmarks are moved onto the true ones, over that before; "
         "median of drives)"
     )
-    yield at_most(text, _median(ratios), 0.5, own=True)
+    yield at_most(text, median(ratios), 0.5, own=True)
 
 
 def claims_4_2(maps: Maps) -> Claims:
@@ -481,8 +459,8 @@ def claims_4_2(maps: Maps) -> Claims:
     squared, rms = [], []
     for mapping in maps.all_drives:
         e, true = mapping.ekf.estimate, truth_in_order(mapping.log)[1]
-        mean = np.concatenate((e.pose[-1], true.ravel()))
-        errors = map_errors(e.joint_mean, e.joint_covariance, mean, 0.0 * e.joint_covariance,
+        truth = np.concatenate((e.pose[-1], true.ravel()))
+        errors = map_errors(e.joint_mean, e.joint_covariance, truth, 0.0 * e.joint_covariance,
                             with_pose=False)  # fmt: skip
         far = int(np.argmax(np.linalg.norm(true - e.pose[0, :2], axis=1)))
         squared.append(errors.landmarks.squared[far])
@@ -501,15 +479,10 @@ def claims_4_3(maps: Maps) -> Claims:
     """One grid keeps its errors, a dense map is corrected along with the landmarks."""
     dense = np.array([m.errors["occupancy"].p95_m for m in maps.all_drives])
     classic = np.array([m.errors["classic"].p95_m for m in maps.all_drives])
-    then = np.array([m.error_before("occupancy").p95_m for m in maps.closed])
-    now = np.array([m.mapping.errors["occupancy"].p95_m for m in maps.closed])
-    best = [_p95_on_true_landmarks(m.mapping, "occupancy") for m in maps.closed]
-    own, other = np.array(
-        [
-            [_p95_on_true_landmarks(m, layer) for layer in ("occupancy", "classic")]
-            for m in maps.all_drives
-        ]
-    ).T
+    own, other = (
+        np.array([_p95_on_true_landmarks(m, layer) for m in maps.all_drives])
+        for layer in ("occupancy", "classic")
+    )
     why = ours(
         f"so it is in {np.sum(dense <= classic)} of {len(dense)} drives; where the filter ends "
         "with a map that is turned as a whole, both are off by that"
@@ -520,7 +493,7 @@ def claims_4_3(maps: Maps) -> Claims:
     )
     yield at_most(text, np.max(dense / classic), 1.0, why=why)
     why = ours(
-        f"{_median(own):.2f} and {_median(other):.2f} m; the noise of the returns alone is 1 "
+        f"{median(own):.2f} and {median(other):.2f} m; the noise of the returns alone is 1 "
         "degree, or 0.44 m at 25 m"
     )
     text = (
@@ -529,12 +502,10 @@ def claims_4_3(maps: Maps) -> Claims:
     )
     yield at_most(text, np.median(own / other), 0.5, why=why, own=True)
     text = "because the closing corrects it (95 %, after over before, median of drives)"
-    yield at_most(
-        text, _median(now / then), 0.5, why=ours(_after_closing(then, now, best)), own=True
-    )
+    yield from _corrected(text, maps, "occupancy")
     why = ours(
-        f"both carry the error of the landmarks themselves: {_median(dense):.2f} and "
-        f"{_median(classic):.2f} m, and {_median(own):.2f} and {_median(other):.2f} m once the "
+        f"both carry the error of the landmarks themselves: {median(dense):.2f} and "
+        f"{median(classic):.2f} m, and {median(own):.2f} and {median(other):.2f} m once the "
         "landmarks are moved onto the true ones"
     )
     text = "it is much more accurate on the whole (95 % of the distances, median ratio)"

@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -20,10 +19,15 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere, ours
-from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, draw_lines, frame, plan
-from comparisons.experiments.reproduction.drives import truth_in_order
+from comparisons.experiments.reproduction.drawing import (
+    TRUE_PATH_COLOUR,
+    closed,
+    draw_lines,
+    frame,
+    plan,
+)
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings, truth_in_order
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.nieto_dense import MORE, enclosed
@@ -115,14 +119,12 @@ class Searched:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class Pairs(Drives[Searched]):
     """One search per drive by a building and something small.
 
     true: (L, 2) landmarks of every drive in its filter's order. segment: (S, 4) true surfaces.
     """
 
-    log: str
-    each: tuple[Searched, ...]
     true: tuple[Array, ...]
     segment: Array
 
@@ -159,14 +161,6 @@ class HighLevelDrive:
         return tuple(to_world(self.run.place[k], self.templates[k]) for k in order)
 
 
-@dataclass(frozen=True)
-class HighLevelDrives:
-    """Of some drives; the first is drawn."""
-
-    log: str
-    each: tuple[HighLevelDrive, ...]
-
-
 @cache
 def _by_a_building() -> ScanExperiment:
     """Part of a loop past a building and something small, with the sensors of Table 4.1."""
@@ -196,19 +190,17 @@ def corner_pairs(sources: Sources) -> Pairs:
     return Pairs(reported, tuple(each), tuple(true), _by_a_building().world.segment)
 
 
-def high_level_drives(sources: Sources) -> HighLevelDrives:
+def high_level_drives(sources: Sources) -> Drives[HighLevelDrive]:
     """Section 6.1.3: chapter 4's environment, a search every minute, seeds from 0."""
     experiment, drives = enclosed(occupancy(LOOPS)), sources.drives
     logs = (simulate(np.random.default_rng(seed), experiment) for seed in range(drives))
     reported = f"{experiment.name} --loops {LOOPS} with {MORE}, {drives} drives from seed 0"
-    return HighLevelDrives(reported, tuple(of_log(log, EVERY_S) for log in logs))
+    return Drives(reported, tuple(of_log(log, EVERY_S) for log in logs))
 
 
 def of_log(log: Log, every_s: float) -> HighLevelDrive:
     """A log with scans and truth, driven with high level landmarks and without."""
-    poses, surfaces, loop_s = log.truth.poses, log.truth.surfaces, occupancy().drive.loop_s
-    if poses is None or surfaces is None:
-        raise InputError(f"{log.name}: true poses and surfaces are needed")
+    (poses, segment), loop_s = true_surroundings(log), occupancy().drive.loop_s
     searches = list[Searched]()
 
     def searched(time_s: float, around: Around, found: Search) -> None:
@@ -233,7 +225,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
         true_path=poses.pose[:, :2],
         landmark=run.estimate.landmark,
         true=truth_in_order(log)[1],
-        segment=surfaces.segment,
+        segment=segment,
         error_m=error_m(run),
         without_m=error_m(without),
     )
@@ -277,7 +269,7 @@ def claims_6_4(found: Pairs) -> Claims:
     yield at_most(text, max(np.concatenate(poor), default=np.nan), LEAST - 1)
 
 
-def claims_6_5(found: HighLevelDrives) -> Claims:
+def claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
     """Few at first, more after the loop."""
     first = [d.searches[0] for d in found.each]
     shown = [len(one.search.candidate) for one in first]
@@ -307,7 +299,7 @@ def claims_6_5(found: HighLevelDrives) -> Claims:
     yield at_least(text, np.median(kept), FIRST + LATER, why=why)
 
 
-def claims_6_6(found: HighLevelDrives) -> Claims:
+def claims_6_6(found: Drives[HighLevelDrive]) -> Claims:
     """Where the templates lie, and what they contribute."""
     off = [
         float(np.median(distance_to_segments(rigid_motion(d.landmark, d.true)(points), d.segment)))
@@ -367,7 +359,7 @@ def draw_6_4(canvas: Canvas, found: Pairs) -> None:
     plan(axis, title, legend="lower center", columns=2)
 
 
-def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
+def draw_6_5(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     """The first search, and the end."""
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     d = found.each[0]
@@ -385,7 +377,7 @@ def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
     plan(right, "(b) after the loop, in the end", legend="lower right")
 
 
-def draw_6_6(canvas: Canvas, found: HighLevelDrives) -> None:
+def draw_6_6(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     """Templates and axes."""
     axis, d = canvas.add_subplot(), found.each[0]
     _draw_end(axis, d)
@@ -405,15 +397,13 @@ def _draw_search(axis: Axes, one: Searched) -> None:
         *corner.T, "o", color=EKF_COLOUR, markersize=8, markerfacecolor="none", label="corners",
         zorder=4,
     )  # fmt: skip
-    closed = _closed(one.search.candidate)
     for style, name, chosen in (
         ("solid", "accepted", one.accepted),
         ("dashed", "rejected", ~one.accepted),
     ):
         if chosen.any():
-            lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=1.2)
-            lines.set(color=HIGH_LEVEL_COLOUR, label=name)
-            axis.add_collection(lines)
+            outline = closed(one.search.candidate[chosen])
+            draw_lines(axis, outline, HIGH_LEVEL_COLOUR, name, 1.2, style=style)
     for area, count in zip(one.search.candidate, one.search.gaussians.tolist(), strict=True):
         top = area[area[:, 1].argmax()]
         axis.annotate(f"{count}", top, xytext=(0, 3), textcoords="offset points", fontsize=9,
@@ -425,10 +415,6 @@ def _draw_end(axis: Axes, d: HighLevelDrive) -> None:
     draw_trajectory(axis, d.true_path, TRUE_PATH_COLOUR, "true path")
     draw_trajectory(axis, d.path, EKF_COLOUR, "estimated path", "--")
     draw_high_level(axis, d.run)
-
-
-def _closed(area: Array) -> Array:
-    return np.concatenate((area, area[:, :1]), axis=1)
 
 
 FIGURES = (

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
@@ -22,9 +21,10 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, ours
-from comparisons.experiments.reproduction.drawing import frame, plan
+from comparisons.experiments.reproduction.drawing import closed, draw_lines, frame, plan
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
-from comparisons.experiments.reproduction.measures import true_segments
+from comparisons.experiments.reproduction.measures import mean
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import (
@@ -79,11 +79,9 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Motions:
-    """Of some drives; the first is drawn. true: (P, 2) [m] middles of the places that change."""
+class Motions(Drives[Motion]):
+    """true: (P, 2) [m] middles of the places that change."""
 
-    log: str
-    each: tuple[Motion, ...]
     true: Array
 
 
@@ -99,7 +97,7 @@ def _motion(experiment: ScanExperiment, seed: int) -> Motion:
         dynamic=layer.points(mapping.placed),
         occupied=mapping.layers["occupancy"],
         landmark=mapping.dense.landmark,
-        segment=true_segments(log),
+        segment=true_surroundings(log)[1],
         triangle=mapping.placed.triangle,
     )
 
@@ -226,14 +224,6 @@ class ParkedCars:
         return np.array(share) >= 0.5
 
 
-@dataclass(frozen=True)
-class ParkedCarsDrives:
-    """Of some drives; the first is drawn."""
-
-    log: str
-    each: tuple[ParkedCars, ...]
-
-
 def off_cars(point: Array) -> Array:
     """(C, N) distances [m] of points (N, 2) from each car that leaves, zero on it."""
     away = []
@@ -243,10 +233,10 @@ def off_cars(point: Array) -> Array:
     return np.array(away)
 
 
-def parked_drives(sources: Sources) -> ParkedCarsDrives:
+def parked_drives(sources: Sources) -> Drives[ParkedCars]:
     """Two laps each, seeds from 0."""
     each = tuple(_parked(seed) for seed in range(sources.drives))
-    return ParkedCarsDrives(f"{parked_cars().name}, {len(each)} drives from seed 0", each)
+    return Drives(f"{parked_cars().name}, {len(each)} drives from seed 0", each)
 
 
 def _parked(seed: int) -> ParkedCars:
@@ -286,7 +276,7 @@ def _parked(seed: int) -> ParkedCars:
         removed=np.isin(np.arange(len(found.place)), list(landmarks.moving)),
         landmark=watcher.dense.landmark,
         points_removed=len(run.deactivated),
-        segment=true_segments(log),
+        segment=true_surroundings(log)[1],
     )
 
 
@@ -297,7 +287,7 @@ _RAGGED = ours(
 )
 
 
-def claims_6_19(found: ParkedCarsDrives) -> Claims:
+def claims_6_19(found: Drives[ParkedCars]) -> Claims:
     """All cars, in two areas, and nothing else."""
     off = [off_cars(d.dynamic) for d in found.each]
     count = np.array([len(middles(d.dynamic)) for d in found.each])
@@ -322,7 +312,7 @@ def claims_6_19(found: ParkedCarsDrives) -> Claims:
     )
 
 
-def claims_6_20(found: ParkedCarsDrives) -> Claims:
+def claims_6_20(found: Drives[ParkedCars]) -> Claims:
     """What is under an area, and the rest."""
     left = np.concatenate([d.left for d in found.each])
     removed = np.concatenate([d.removed for d in found.each])
@@ -350,7 +340,7 @@ def _draw_cells(axis: Axes, one: ParkedCars, point: Array, colour: str, title: s
     frame(axis, one.landmark, 6.0)
 
 
-def draw_6_19(canvas: Canvas, found: ParkedCarsDrives) -> None:
+def draw_6_19(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     """The map at both times, and what is found."""
     before, after, moved = canvas.subplots(1, 3, sharex=True, sharey=True)
     one = found.each[0]
@@ -360,17 +350,15 @@ def draw_6_19(canvas: Canvas, found: ParkedCarsDrives) -> None:
     _draw_cells(moved, one, one.dynamic, "black", "(c) slow motion")
 
 
-def draw_6_20(canvas: Canvas, found: ParkedCarsDrives) -> None:
+def draw_6_20(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     """Templates and rectangles, and the areas."""
     axis, one = canvas.add_subplot(), found.each[0]
     axis.plot(*np.vstack(one.template).T, ".", color=DENSE_COLOUR, markersize=2, zorder=3)
-    closed = np.concatenate((one.rectangle, one.rectangle[:, :1]), axis=1)
     for state, width, seen in (("in the state", 1.8, True), ("not seen again", 0.7, False)):
         for style, what, gone in (("solid", "", False), ("dashed", ", removed", True)):
             chosen = (one.in_state == seen) & (one.removed == gone)
-            lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=width)
-            lines.set(color=HIGH_LEVEL_COLOUR, label=state + what)
-            axis.add_collection(lines)
+            outline = closed(one.rectangle[chosen])
+            draw_lines(axis, outline, HIGH_LEVEL_COLOUR, state + what, width, style=style)
     axis.plot(*one.dynamic.T, ".", color=_GONE_COLOUR, markersize=3, label="dynamic areas")
     axis.plot(*one.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
     plan(axis, "high level landmarks and dynamic areas", legend="lower right")
@@ -416,8 +404,7 @@ _SAMPLE_S = 0.02
 class DynamicScore:
     """Cells that are dynamic and cells that something moved over, among those ever seen.
 
-    precision, recall: NaN where there is nothing to divide by. middle: (P, 2) [m] of the connected
-    places found.
+    precision, recall: NaN of none. middle: (P, 2) [m] of the connected places found.
     """
 
     precision: float
@@ -432,10 +419,7 @@ def score_dynamic(
     seen = layer.grid.samples(placed).point
     truth = moved_over(tuple(movers), seen, np.arange(0.0, duration_s, _SAMPLE_S))
     found = layer.covers(seen, placed)
-    right = float(np.count_nonzero(truth & found))
-    with np.errstate(invalid="ignore"):
-        shares = np.array((right, right)) / (np.count_nonzero(found), np.count_nonzero(truth))
-    return DynamicScore(float(shares[0]), float(shares[1]), middles(layer.points(placed)))
+    return DynamicScore(mean(truth[found]), mean(found[truth]), middles(layer.points(placed)))
 
 
 def middles(point: Array) -> Array:

@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.claims import Claims, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
+from comparisons.experiments.reproduction.drives import Drives
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
@@ -181,18 +182,10 @@ class PeopleDrive:
     one_way: Tracks
 
 
-@dataclass(frozen=True)
-class PeopleDrives:
-    """Of some drives; the first is drawn."""
-
-    log: str
-    each: tuple[PeopleDrive, ...]
-
-
-def people_drives(sources: Sources) -> PeopleDrives:
+def people_drives(sources: Sources) -> Drives[PeopleDrive]:
     """Seeds from 0."""
     each = tuple(_drive(np.random.default_rng(seed)) for seed in range(sources.drives))
-    return PeopleDrives(f"{_PEOPLE} people walk, {len(each)} simulated drives from seed 0", each)
+    return Drives(f"{_PEOPLE} people walk, {len(each)} simulated drives from seed 0", each)
 
 
 def _drive(rng: np.random.Generator) -> PeopleDrive:
@@ -229,7 +222,7 @@ def _drive(rng: np.random.Generator) -> PeopleDrive:
     return PeopleDrive(poses, people, landmark, *tracks)
 
 
-def claims_3_7_1(found: PeopleDrives) -> Claims:
+def claims_3_7_1(found: Drives[PeopleDrive]) -> Claims:
     """What people tell the robot, and what the tracks are without it."""
     drives = found.each
     gap = [(d.full.person - d.one_way.person)[:, :, :2].reshape(-1, 2) for d in drives]
@@ -265,7 +258,7 @@ def claims_3_7_1(found: PeopleDrives) -> Claims:
     yield at_most(text, max(d.one_way.kept / d.full.kept for d in drives), 0.5, own=True)
 
 
-def draw_3_7_1(canvas: Canvas, found: PeopleDrives) -> None:
+def draw_3_7_1(canvas: Canvas, found: Drives[PeopleDrive]) -> None:
     """The tracks, and how well the robot is known."""
     left, right = canvas.subplots(1, 2, width_ratios=(1.2, 1.0))
     one = found.each[0]

@@ -30,6 +30,7 @@ from comparisons.experiments.reproduction.claims import (
     theirs,
 )
 from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, within_3_sigma
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
@@ -151,11 +152,9 @@ class ScanDrive:
 
 
 @dataclass(frozen=True)
-class ScanDrives:
-    """Several; `shown` of them is drawn. published: the same logs, by the thesis' settings."""
+class ScanDrives(Drives[ScanDrive]):
+    """`shown` of them is drawn. published: the same logs, by the thesis' settings."""
 
-    log: str
-    each: tuple[ScanDrive, ...]
     published: tuple[ScanDrive, ...]
 
     @property
@@ -222,8 +221,7 @@ def published_config() -> ScanLandmarksConfig:
 
 def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None) -> ScanDrive:
     """A log with scans and truth, driven. Raises InputError where no landmark is ever moved."""
-    if log.truth.poses is None or log.truth.surfaces is None:
-        raise InputError(f"{log.name}: true poses and surfaces are needed")
+    poses, segment = true_surroundings(log)
     config = RunConfig(extensions={"scan_landmarks": settings or OURS})
     prepared = prepare(log, config)
     watched = replace(prepared, extensions=(*prepared.extensions, _Remember()))
@@ -239,17 +237,17 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         assess_trajectory(estimate.time_s, wheels, log),
     )
     ate_m, wheels_m = (float("nan") if e is None or e.ate_m is None else e.ate_m for e in errors)
-    true = log.truth.poses.at(run.estimate.time_s[run.pose_landmarks.pose])
+    true = poses.at(run.estimate.time_s[run.pose_landmarks.pose])
     landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
     still = np.isin(closing.landmark_index, landmark_indices)
     old = closing.landmark_index[still]
     then = estimate.time_s < closing.time_s
-    off = estimate.pose[-1] - log.truth.poses.at(estimate.time_s[-1:])[0]
+    off = estimate.pose[-1] - poses.at(estimate.time_s[-1:])[0]
     return ScanDrive(
         seed=seed,
         templates=in_words(template_rule(source.slam.options)),
         path=estimate.pose[:, :2],
-        true_path=log.truth.poses.pose[:, :2],
+        true_path=poses.pose[:, :2],
         closing_s=closing.time_s,
         before=scan_map(
             found, run, true, old, closing.before[still], source.covariance[old, :2, :2]
@@ -262,7 +260,7 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         wheels_m=wheels_m,
         end_m=float(np.hypot(*off[:2])),
         again=seen_again(run),
-        segment=log.truth.surfaces.segment,
+        segment=segment,
     )
 
 
@@ -283,15 +281,25 @@ def scan_map(
     covariance: Array,
 ) -> ScanMap:
     """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all measurements."""
-    first = np.unique(run.pose_landmarks.landmark, return_index=True)[1][landmark_index]
-    seen = zip(true[first], run.pose_landmarks.measured[first], strict=True)
+    first = first_measurements(run)[landmark_index]
     return ScanMap(
         landmark_index,
         place,
         covariance,
-        np.array([planar.compose(pose, z) for pose, z in seen]).reshape(-1, 3),
+        true_axes(true[first], run.pose_landmarks.measured[first]),
         tuple(found.template[k].shape.mean for k in landmark_index.tolist()),
     )
+
+
+def first_measurements(run: EkfRun) -> Index:
+    """(Q,) rows of the measurements by which the landmarks began."""
+    return np.unique(run.pose_landmarks.landmark, return_index=True)[1]
+
+
+def true_axes(pose: Array, z: Array) -> Array:
+    """(Q, 3) where axes are that were measured as z (Q, 3) from the vehicle's true poses (Q, 3)."""
+    each = [planar.compose(*both) for both in zip(pose, z, strict=True)]
+    return np.array(each).reshape(-1, 3)
 
 
 def _placed(held: ScanMap, place: Array) -> Array:

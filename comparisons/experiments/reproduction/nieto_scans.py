@@ -11,6 +11,7 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
+from comparisons.experiments.reproduction.drives import Drives
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
@@ -60,15 +61,13 @@ class Trial(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Scans:
+class Scans(Drives[Trial]):
     """Several trials; one is drawn.
 
     reference, observation: (N, 2) of it [m]; truth: (3,) the observation's pose in the reference's
     frame.
     """
 
-    log: str
-    each: tuple[Trial, ...]
     reference: Array
     observation: Array
     truth: Array

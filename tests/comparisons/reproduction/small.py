@@ -150,7 +150,7 @@ def motions(true: Array) -> nieto_motion.Motions:
     return nieto_motion.Motions("made up", (one,), true)
 
 
-def parked_cars() -> nieto_motion.ParkedCarsDrives:
+def parked_cars() -> Drives[nieto_motion.ParkedCars]:
     """All three cars are found, and two landmarks stand on them; another is as good as before."""
     first, second, third = leaving_cars()
     between = np.linspace(first.mean(axis=0), second.mean(axis=0), 12)
@@ -168,7 +168,7 @@ def parked_cars() -> nieto_motion.ParkedCarsDrives:
         points_removed=0,
         segment=WALL,
     )
-    return nieto_motion.ParkedCarsDrives("made up", (one,))
+    return Drives("made up", (one,))
 
 
 def scan_drives() -> nieto_scan_slam.ScanDrives:
@@ -202,10 +202,10 @@ def scan_drives() -> nieto_scan_slam.ScanDrives:
     return nieto_scan_slam.ScanDrives("made up", (one,), (one,))
 
 
-def high_level_drives() -> nieto_high_level.HighLevelDrives:
+def high_level_drives() -> Drives[nieto_high_level.HighLevelDrive]:
     log = open_log("occupancy-loop", choices=SimulationChoices(1, 2))
     drive = nieto_high_level.of_log(first_seconds(log, 100.0), 60.0)
-    return nieto_high_level.HighLevelDrives("the beginning of a drive", (drive,))
+    return Drives("the beginning of a drive", (drive,))
 
 
 def scan_maps() -> nieto_scan_maps.ScanMaps:
