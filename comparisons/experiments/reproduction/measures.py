@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.job import DenseMapping
+from comparisons.logs.log import Log
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.scan_landmarks.high_level import Around
@@ -40,6 +42,23 @@ def within_3_sigma(error: Array, covariance: Array) -> NDArray[np.bool_]:
     solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
     inside: NDArray[np.bool_] = np.einsum("qi,qi->q", error, solved) <= THREE_SIGMA_SQUARED
     return inside
+
+
+def at_gps(log: Log, time_s: Array, pose: Array) -> tuple[Array, Array]:
+    """(G, 2) places of a path at the times of GPS, and GPS. Raises InputError for a log without."""
+    fixes = log.positions
+    if fixes is None:
+        raise InputError(f"{log.name}: holds no positions")
+    inside = (fixes.time_s >= time_s[0]) & (fixes.time_s <= time_s[-1])
+    at = [np.interp(fixes.time_s[inside], time_s, pose[:, k]) for k in (0, 1)]
+    return np.column_stack(at), fixes.position_m[inside]
+
+
+def off_gps(log: Log, time_s: Array, pose: Array) -> Array:
+    """(G,) distances of a path to GPS at its times. Raises InputError for a log without."""
+    at, fixes = at_gps(log, time_s, pose)
+    away: Array = np.linalg.norm(at - fixes, axis=1)
+    return away
 
 
 def occupied(samples: Samples) -> Array:

@@ -30,6 +30,7 @@ from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     ellipses_of,
     occupied,
+    off_gps,
     rms,
     searched_at_end,
     within_3_sigma,
@@ -44,7 +45,8 @@ from comparisons.report.figures.style import draw_landmarks, draw_reference
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.scan_landmarks.high_level import Found, Search, SearchOptions, search, to_world
+from ekf_reference.scan_landmarks.high_level import Search, SearchOptions, search, to_world
+from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"
@@ -121,13 +123,11 @@ class CarPark:
         held = self.ellipses
         low, high = held.mean.min(axis=0) - COARSE_M, held.mean.max(axis=0) + COARSE_M
         axes = [np.arange(a, b, COARSE_M) for a, b in zip(low, high, strict=True)]
-        point = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        height = np.zeros(len(point))
-        for mean, covariance in zip(held.mean, held.covariance, strict=True):
-            away = point - mean
-            squared = np.einsum("ni,ni->n", away, np.linalg.solve(covariance, away.T).T)
-            height += np.exp(-0.5 * squared)
-        return Samples(point, height, np.zeros(len(point), dtype=np.intp))
+        point = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        g = SumOfGaussians.of_equal_height(held.mean, held.covariance)
+        peak = g.weight[0] / (2.0 * np.pi * np.sqrt(np.linalg.det(g.covariance[0])))
+        height = np.concatenate([g.value(column) for column in point]) / peak
+        return Samples(point.reshape(-1, 2), height, np.zeros(len(height), dtype=np.intp))
 
 
 def car_park(sources: Sources) -> CarPark:
@@ -173,17 +173,6 @@ def _mapped(log: Log, cell_m: float, *, gps: bool = False) -> DenseMapping:
     )
     ekf = EkfConfig(gps="on" if gps else "off")
     return map_log(log, MapConfig(ekf=ekf, extensions={"dense_maps": maps}))
-
-
-def off_gps(log: Log, time_s: Array, pose: Array) -> Array:
-    """(G,) distances of a path to GPS at its times. Raises InputError for a log without."""
-    fixes = log.positions
-    if fixes is None:
-        raise InputError(f"{log.name}: holds no positions")
-    inside = (fixes.time_s >= time_s[0]) & (fixes.time_s <= time_s[-1])
-    at = [np.interp(fixes.time_s[inside], time_s, pose[:, k]) for k in (0, 1)]
-    away: Array = np.linalg.norm(np.column_stack(at) - fixes.position_m[inside], axis=1)
-    return away
 
 
 def _searched(mapping: DenseMapping, cell_m: float) -> Search:
@@ -257,27 +246,16 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
         "ones, in the end over before)"
     )
     yield at_most(text, off[1] / off[0], 1.0)
-    yield at_most(
-        "by a large part (the same)",
-        off[1] / off[0],
-        0.5,
-        why=elsewhere(f"{OTHER_PART}: from {off[0]:.2f} m to {off[1]:.2f} m"),
-        own=True,
-    )
+    why = elsewhere(f"{OTHER_PART}: from {off[0]:.2f} m to {off[1]:.2f} m")
+    yield at_most("by a large part (the same)", off[1] / off[0], 0.5, why=why, own=True)
 
 
 def _near_image(found: CarPark, what: str, layer: str, *, fine: bool = False) -> Claims:
     """Of a layer of the coarse map, or of the fine one."""
     mapping, cell_m = (found.fine, CELL_M) if fine else (found.coarse, COARSE_M)
     text = f"{what} lie on the laser image (median distance; limit: a cell)"
-    yield at_most(
-        text, np.median(found.off(occupied(mapping.layers[layer]))), cell_m, "m", own=True
-    )
-
-
-def placed_template(one: Found) -> Array:
-    """(N, 2) points [m] of a high level landmark's template."""
-    return to_world(one.place, one.template.shape.mean)
+    away = found.off(occupied(mapping.layers[layer]))
+    yield at_most(text, np.median(away), cell_m, "m", own=True)
 
 
 def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
@@ -305,15 +283,12 @@ def claims_6_15(found: CarPark) -> Claims:
     """The surface of the sum."""
     surface = found.surface
     high = surface.point[surface.occupancy > 0.5]
-    yield at_most(
+    off = np.percentile(found.off(high), 95.0) if len(high) else np.nan
+    text = (
         "the sum of Gaussians is high where the laser image is (95 % of the distances of what "
-        "is above half a peak; limit: two cells)",
-        np.percentile(found.off(high), 95.0) if len(high) else np.nan,
-        2.0 * COARSE_M,
-        "m",
-        why=_LAST,
-        own=True,
+        "is above half a peak; limit: two cells)"
     )
+    yield at_most(text, off, 2.0 * COARSE_M, "m", why=_LAST, own=True)
 
 
 def claims_6_16(found: CarPark) -> Claims:
@@ -325,9 +300,8 @@ def claims_6_16(found: CarPark) -> Claims:
             f"{name} and the grid show the same surfaces (median distance to an occupied cell; "
             "limit: two cells)"
         )
-        yield at_most(
-            text, np.median(grid.query(occupied(layers[key]))[0]), 2.0 * COARSE_M, "m", own=True
-        )
+        away = grid.query(occupied(layers[key]))[0]
+        yield at_most(text, np.median(away), 2.0 * COARSE_M, "m", own=True)
 
 
 def claims_6_18(found: CarPark) -> Claims:
@@ -493,8 +467,7 @@ def draw_6_18(canvas: Canvas, found: CarPark) -> None:
         )  # fmt: skip
         left.add_collection(areas)
     for one in s.found:
-        x, y = placed_template(one).T
-        right.plot(x, y, ".", markersize=3)
+        right.plot(*to_world(one.place, one.template.shape.mean).T, ".", markersize=3)
     _frame(left, found, "(a) pairs of corners", legend="lower left")
     _frame(right, found, "(b) templates of the high level landmarks")
 

@@ -23,12 +23,16 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claim, Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
-from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, mean, median
+from comparisons.experiments.reproduction.measures import (
+    SHARE_WITHIN_3_SIGMA,
+    mean,
+    median,
+    off_gps,
+)
 from comparisons.experiments.reproduction.nieto_car_park import (
     FOLDER,
     OTHER_LOG,
     OTHER_PART,
-    off_gps,
 )
 from comparisons.experiments.reproduction.nieto_scan_slam import (
     ScanMap,

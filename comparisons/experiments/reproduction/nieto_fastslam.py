@@ -22,6 +22,7 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.measures import at_gps
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
@@ -109,21 +110,17 @@ def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
 
 
 def _run(log: Log, particles: int) -> CloudRun:
-    timeline, positions = build_timeline(log), log.positions
-    if positions is None:
-        raise TypeError("no positions")
+    timeline = build_timeline(log)
     slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
-    path, time_s = cloud.mean[:, :2], timeline.epoch_time_s
-    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
-    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in path.T])
-    move = rigid_motion(at, positions.position_m[inside])
+    time_s = timeline.epoch_time_s
+    move = rigid_motion(*at_gps(log, time_s, cloud.mean))
     mixture = slam.mixture_map()
     return CloudRun(
         particles=particles,
         median_m=_off_gps_m(log, time_s, cloud.mean),
         distinct=slam.history.distinct(),
-        path=move(path),
+        path=move(cloud.mean[:, :2]),
         landmark=move(mixture.mean[mixture.share > _KNOWN]),
     )
 

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -31,6 +30,7 @@ from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most
 from comparisons.experiments.reproduction.drawing import chart, plan
+from comparisons.experiments.reproduction.drives import true_surroundings
 from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
@@ -164,19 +164,17 @@ def ways(place: Array, held: Samples) -> list[Array]:
     something, and keeps CLEARANCE_M from what is occupied, but at its start. Raises InputError for
     none.
     """
-    side = 2 * math.ceil(WAY_M / CELL_M) + 1
-    count = np.array((side, side))
-    row, column = np.divmod(np.arange(side * side), side)
-    cell = place + CELL_M * (np.column_stack((column, row)) - side // 2)
+    half = math.ceil(WAY_M / CELL_M)
+    north, east = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1)
+    cell = place + CELL_M * np.column_stack((east, north))
     start = len(cell) // 2
     occupied = held.point[held.occupancy > OCCUPIED]
     free = cKDTree(occupied).query(cell)[0] >= CLEARANCE_M + 0.5 * CELL_M
     free &= cKDTree(held.point).query(cell)[0] <= 0.5 * CELL_M
     free[start] = True
-    ends = [
-        _neighbours(column, row, count, free, *step) for step in ((1, 0), (0, 1), (1, 1), (1, -1))
-    ]
-    first, second = np.concatenate(ends, axis=1)
+    first, second = cKDTree(cell).query_pairs(1.5 * CELL_M, output_type="ndarray").T
+    both = free[first] & free[second]
+    first, second = first[both], second[both]
     length = np.linalg.norm(cell[first] - cell[second], axis=1)
     graph = coo_array((length, (first, second)), shape=(len(cell), len(cell))).tocsr()
     away, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
@@ -191,16 +189,6 @@ def ways(place: Array, held: Samples) -> list[Array]:
     if not found:
         raise InputError(f"no free way of {WAY_M:g} m over the map")
     return found
-
-
-def _neighbours(
-    column: Index, row: Index, count: Index, free: NDArray[np.bool_], right: int, up: int
-) -> Index:
-    """(2, E) pairs of free cells, the second so far right of and above the first."""
-    there = (column + right < count[0]) & (row + up < count[1]) & (row + up >= 0)
-    first = np.flatnonzero(there)
-    second = first + right + up * count[0]
-    return np.stack((first, second))[:, free[first] & free[second]]
 
 
 def _traced(cell: Array, before: Index, end: int) -> Array:
@@ -294,9 +282,7 @@ def next_path(sources: Sources) -> NextPath:
 
 def of_log(log: Log) -> NextPath:
     """Candidates from where a log ends. Raises InputError for a log without true surfaces."""
-    if log.truth.surfaces is None:
-        raise InputError(f"{log.name}: true surfaces are needed")
-    timeline = build_timeline(log)
+    segment, timeline = true_surroundings(log)[1], build_timeline(log)
     watcher = DenseWatcher(log, DenseMapsConfig(layers=("occupancy",)))
     ekf = build_ekf(log, settle(EkfConfig(), log), Trace())
     driven, landmark_index = [], []
@@ -332,7 +318,7 @@ def of_log(log: Log) -> NextPath:
         driven=np.array(driven)[:, :2],
         landmark=landmark.copy(),
         held=held,
-        segment=log.truth.surfaces.segment,
+        segment=segment,
     )
 
 
