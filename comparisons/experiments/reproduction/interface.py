@@ -77,20 +77,13 @@ class Experiment(Generic[D]):
     """One computation that several figures may share.
 
     run: computes and draws nothing; raises InputError. needs: one of DATA_FOLDERS without which
-    it cannot run. takes: those that it reads besides, where they are given. library: one of
-    graphslam.scan.libraries without which it cannot run.
+    it cannot run. library: one of graphslam.scan.libraries without which it cannot run.
     """
 
     name: str
     run: Callable[[Sources], D]
     needs: str | None = None
-    takes: tuple[str, ...] = ()
     library: str | None = None
-
-    @property
-    def reads(self) -> set[str]:
-        """All of DATA_FOLDERS that it may read."""
-        return {*self.takes, *(() if self.needs is None else (self.needs,))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,9 +91,10 @@ class Figure(Generic[D]):
     """One row of the catalogue.
 
     name: as on the command line, the document's initial and the figure's number. title: what is
-    shown. says: what the document claims by it, in our words. draw: draws on an empty figure of
-    `size` inches and computes nothing. claims: what is claimed, with the numbers of the
-    experiment. place: of the figure in the document, where that is not its number alone.
+    shown. says: what the document claims by it, in our words; with the title it describes the two
+    functions. draw: draws on an empty figure of `size` inches and computes nothing. claims: what is
+    claimed, with the numbers of the experiment. place: of the figure in the document, where that is
+    not its number alone.
     """
 
     name: str

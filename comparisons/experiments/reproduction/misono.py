@@ -179,9 +179,7 @@ def journeys(sources: Sources) -> Journeys:
     )
 
 
-def claims_5(found: Drives[Estimated]) -> Claims:
-    """Errors of dead reckoning accumulate; those of SLAM are cancelled."""
-
+def _claims_5(found: Drives[Estimated]) -> Claims:
     def median(name: str) -> float:
         return float(np.median([one.rms_m(name) for one in found.each]))
 
@@ -201,8 +199,7 @@ def claims_5(found: Drives[Estimated]) -> Claims:
     yield at_most(text, median("misono"), WaypointRun().reached_m, "m", why=why, own=True)
 
 
-def claims_6(found: Journeys) -> Claims:
-    """By SLAM the robot comes back to where it began."""
+def _claims_6(found: Journeys) -> Claims:
     slam, blind = (found.ends_m(name) for name in ("misono", "dead reckoning"))
     text = "by dead reckoning the robot misses its starting point (median distance)"
     yield at_least(text, np.median(blind), 1.0, "m", own=True)
@@ -214,32 +211,25 @@ def claims_6(found: Journeys) -> Claims:
     yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True)
 
 
-def draw_5(canvas: Canvas, found: Drives[Estimated]) -> None:
-    """SLAM left, dead reckoning right, as in the paper."""
+def _draw_5(canvas: Canvas, found: Drives[Estimated]) -> None:
     one, (left, right) = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
-    draw_estimates(left, one, DRAWN[1:], "(a) estimated by SLAM")
-    draw_estimates(right, one, ("dead reckoning",), "(b) by dead reckoning")
+    _draw_estimates(left, one, DRAWN[1:], "(a) estimated by SLAM")
+    _draw_estimates(right, one, ("dead reckoning",), "(b) by dead reckoning")
 
 
-def draw_6(canvas: Canvas, found: Journeys) -> None:
-    """Where the robot goes by what it believes."""
-    draw_journeys(canvas.add_subplot(), found, "where the robot truly goes")
-
-
-def draw_estimates(axis: Axes, one: Estimated, names: tuple[str, ...], title: str) -> None:
-    """Estimated paths of one drive over the true one."""
-    axis.plot(*one.true[:, :2].T, color=TRUE_PATH_COLOUR, linewidth=3.0, label="true path")
-    for name in names:
-        draw_trajectory(axis, one.estimates[name], _COLOURS[name], name)
-    _course(axis, title)
-
-
-def draw_journeys(axis: Axes, found: Journeys, title: str) -> None:
-    """True paths of the first seed, by what steered."""
+def _draw_6(canvas: Canvas, found: Journeys) -> None:
+    axis = canvas.add_subplot()
     for name, colour in _COLOURS.items():
         path = found.each[name][0]
         if path is not None:
             draw_trajectory(axis, path, colour, f"steered by {name}")
+    _course(axis, "where the robot truly goes")
+
+
+def _draw_estimates(axis: Axes, one: Estimated, names: tuple[str, ...], title: str) -> None:
+    axis.plot(*one.true[:, :2].T, color=TRUE_PATH_COLOUR, linewidth=3.0, label="true path")
+    for name in names:
+        draw_trajectory(axis, one.estimates[name], _COLOURS[name], name)
     _course(axis, title)
 
 
@@ -254,14 +244,14 @@ FIGURES = (
         name="M5", title="Waypoints: estimated by SLAM and by dead reckoning",
         says="Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "
         "exactly where the robot is.",
-        experiment=Experiment("Misono's Fig. 5", drives), draw=draw_5, claims=claims_5,
+        experiment=Experiment("Misono's Fig. 5", drives), draw=_draw_5, claims=_claims_5,
         size=(10.0, 4.8),
     ),
     Figure(
         name="M6", title="Waypoints: where the robot goes by its estimate",
         says="Steered by SLAM the robot returns to its starting point; dead reckoning would not "
         "bring it there.",
-        experiment=Experiment("Misono's Fig. 6", journeys), draw=draw_6, claims=claims_6,
+        experiment=Experiment("Misono's Fig. 6", journeys), draw=_draw_6, claims=_claims_6,
         size=(6.5, 6.0), place="Fig. 6 (there a real robot, here the simulated one)",
     ),
 )  # fmt: skip

@@ -25,7 +25,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import SIGMAS, Place, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.interface import Experiment, Figure
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     ellipses_of,
@@ -130,13 +130,11 @@ class CarPark:
         return Samples(point.reshape(-1, 2), height, np.zeros(len(height), dtype=np.intp))
 
 
-def car_park(sources: Sources) -> CarPark:
-    """Drive the log three times: cells of 0.4 m and 0.5 m, and with GPS. Raises InputError."""
-    return of_log(sources.log(FOLDER))
+def car_park(log: Log) -> CarPark:
+    """Drive the log three times: cells of 0.4 m and 0.5 m, and with GPS.
 
-
-def of_log(log: Log) -> CarPark:
-    """The same of any log with scans, GPS and surveyed landmarks. Raises InputError."""
+    Raises InputError for a log without scans, GPS or surveyed landmarks.
+    """
     positions, known = log.positions, log.truth.landmarks
     if positions is None or known is None:
         raise InputError(f"{log.name}: GPS and surveyed landmarks are needed")
@@ -180,8 +178,7 @@ def _searched(mapping: DenseMapping, cell_m: float) -> Search:
     return search(searched_at_end(mapping), np.empty((0, 4, 2)), options)
 
 
-def claims_3_20(found: CarPark) -> Claims:
-    """The path, the landmarks and their ellipses."""
+def _claims_3_20(found: CarPark) -> Claims:
     known = np.isfinite(found.beacon[:, 0])
     error = (found.landmark - found.beacon)[known]
     sigma = np.sqrt(np.trace(found.blocks, axis1=1, axis2=2))
@@ -201,8 +198,7 @@ def claims_3_20(found: CarPark) -> Claims:
     yield at_least(text, sigma[farther].mean() / sigma[~farther].mean(), 1.0)
 
 
-def claims_3_22(found: CarPark) -> Claims:
-    """The final map beside the laser image."""
+def _claims_3_22(found: CarPark) -> Claims:
     regions = found.fine.dense.dense.regions
     away = found.off(found.fine.layers["points"].point)
     text = "the dense map lies on the laser image (median distance of its points)"
@@ -213,8 +209,7 @@ def claims_3_22(found: CarPark) -> Claims:
     yield at_least(text, int(np.count_nonzero((regions.base < 0).any(axis=1))), 1)
 
 
-def claims_4_14(found: CarPark) -> Claims:
-    """The closing, by cells; and how they compare with raw points."""
+def _claims_4_14(found: CarPark) -> Claims:
     cells, points = (
         float(np.median(found.off(occupied(found.fine.layers[name]))))
         for name in ("occupancy", "points")
@@ -273,14 +268,12 @@ def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
     yield at_most(text, away.max(), 2.0 * cell_m, "m", own=True)
 
 
-def claims_6_11(found: CarPark) -> Claims:
-    """SLAM with GPS, of which the laser image is made."""
+def _claims_6_11(found: CarPark) -> Claims:
     text = "SLAM combined with GPS follows GPS (median distance)"
     yield at_most(text, np.median(found.aided_gps), 0.1, "m", own=True)
 
 
-def claims_6_15(found: CarPark) -> Claims:
-    """The surface of the sum."""
+def _claims_6_15(found: CarPark) -> Claims:
     surface = found.surface
     high = surface.point[surface.occupancy > 0.5]
     off = np.percentile(found.off(high), 95.0) if len(high) else np.nan
@@ -291,8 +284,7 @@ def claims_6_15(found: CarPark) -> Claims:
     yield at_most(text, off, 2.0 * COARSE_M, "m", why=_LAST, own=True)
 
 
-def claims_6_16(found: CarPark) -> Claims:
-    """Three layers of one run."""
+def _claims_6_16(found: CarPark) -> Claims:
     layers = found.coarse.layers
     grid = cKDTree(occupied(layers["occupancy"]))
     for name, key in (("raw observations", "points"), ("Gaussians", "sog")):
@@ -304,8 +296,7 @@ def claims_6_16(found: CarPark) -> Claims:
         yield at_most(text, np.median(away), 2.0 * COARSE_M, "m", own=True)
 
 
-def claims_6_18(found: CarPark) -> Claims:
-    """High level landmarks."""
+def _claims_6_18(found: CarPark) -> Claims:
     s = found.searched
     yield at_least("pairs of corners up to 7 m apart are found", len(s.candidate) + s.known, 1)
     why = elsewhere(
@@ -316,7 +307,7 @@ def claims_6_18(found: CarPark) -> Claims:
     yield at_least(text, len(s.found), HIGH_LEVEL_COUNT, why=why)
 
 
-CAR_PARK = Experiment("the car park, dense maps", car_park, FOLDER)
+CAR_PARK = Experiment("the car park, dense maps", lambda given: car_park(given.log(FOLDER)), FOLDER)
 
 
 _MARGIN_M = 6.0
@@ -328,8 +319,7 @@ def _frame(axis: Axes, found: CarPark, title: str, *, legend: Place | None = Non
     frame(axis, np.vstack((found.aided_path, found.landmark)), _MARGIN_M)
 
 
-def draw_3_20(canvas: Canvas, found: CarPark) -> None:
-    """Dead reckoning and SLAM, both with GPS."""
+def _draw_3_20(canvas: Canvas, found: CarPark) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     for axis in (left, right):
         axis.plot(*found.gps.T, ".", color=TRUTH_COLOUR, markersize=2, label="GPS")
@@ -343,8 +333,7 @@ def draw_3_20(canvas: Canvas, found: CarPark) -> None:
         _frame(axis, found, title, legend="lower left")
 
 
-def draw_3_22(canvas: Canvas, found: CarPark) -> None:
-    """Raw points over the laser image."""
+def _draw_3_22(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     _over_image(axis, found, found.fine.layers["points"], found.fine.placed.triangle)
     axis.plot(*found.landmark.T, "o", color=SMOOTHER_COLOUR, markersize=4, markerfacecolor="none")
@@ -380,7 +369,7 @@ def _grid(canvas: Canvas, found: CarPark, *, fine: bool = False) -> None:
     _frame(axis, found, f"occupancy, cells of {cell_m:g} m")
 
 
-def draw_6_1(canvas: Canvas, found: CarPark) -> None:
+def _draw_6_1(canvas: Canvas, found: CarPark) -> None:
     """The grid with corners, and a close-up of the upper part, as in the thesis."""
     left, right = canvas.subplots(1, 2)
     corner = found.searched_fine.corner
@@ -393,8 +382,7 @@ def draw_6_1(canvas: Canvas, found: CarPark) -> None:
     right.set_ylim(north - 16.0, north + 3.0)
 
 
-def draw_6_11(canvas: Canvas, found: CarPark) -> None:
-    """GPS and the laser image."""
+def _draw_6_11(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     draw_cloud(axis, found.image)
     axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.2, label="GPS")
@@ -402,16 +390,14 @@ def draw_6_11(canvas: Canvas, found: CarPark) -> None:
     _frame(axis, found, "laser image by SLAM and GPS", legend="lower left")
 
 
-def draw_6_12(canvas: Canvas, found: CarPark) -> None:
-    """Raw observations in regions."""
+def _draw_6_12(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     draw_regions(axis, found.coarse.placed.triangle)
     draw_occupied(axis, found.coarse.layers["points"])
     _frame(axis, found, "raw observations in local regions")
 
 
-def draw_6_14(canvas: Canvas, found: CarPark) -> None:
-    """Ellipses of one sigma."""
+def _draw_6_14(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     _gaussians(axis, found)
     _frame(axis, found, "Gaussians, 1 sigma")
@@ -422,8 +408,7 @@ def _gaussians(axis: Axes, found: CarPark) -> None:
     draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 16), EKF_COLOUR, width=0.6)
 
 
-def draw_6_15(canvas: Canvas, found: CarPark) -> None:
-    """The sum's height."""
+def _draw_6_15(canvas: Canvas, found: CarPark) -> None:
     axis, surface = canvas.add_subplot(), found.surface
     east, north = (np.unique(column) for column in surface.point.T)
     height = surface.occupancy.reshape(len(east), len(north)).T
@@ -432,16 +417,14 @@ def draw_6_15(canvas: Canvas, found: CarPark) -> None:
     _frame(axis, found, f"sum of Gaussians on a grid of {COARSE_M:g} m")
 
 
-def draw_6_17(canvas: Canvas, found: CarPark) -> None:
-    """Corners over the grid of 0.5 m."""
+def _draw_6_17(canvas: Canvas, found: CarPark) -> None:
     _grid(canvas, found)
     axis = canvas.axes[0]
     axis.plot(*found.searched.corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
     axis.legend(fontsize=8)
 
 
-def draw_6_16(canvas: Canvas, found: CarPark) -> None:
-    """Raw, Gaussians, grid."""
+def _draw_6_16(canvas: Canvas, found: CarPark) -> None:
     axes = canvas.subplots(1, 3, sharex=True, sharey=True)
     draw_occupied(axes[0], found.coarse.layers["points"])
     _gaussians(axes[1], found)
@@ -451,8 +434,7 @@ def draw_6_16(canvas: Canvas, found: CarPark) -> None:
         _frame(axis, found, title)
 
 
-def draw_6_18(canvas: Canvas, found: CarPark) -> None:
-    """Rectangles around pairs, and the templates of those accepted."""
+def _draw_6_18(canvas: Canvas, found: CarPark) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     s = found.searched
     draw_cloud(left, found.image)
@@ -479,13 +461,13 @@ FIGURES = (
         name="N3.20", title="Car park: dead reckoning and feature SLAM beside GPS",
         says="Dead reckoning drifts away from GPS; SLAM stays, with the largest uncertainty far "
         "from the start." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_3_20, claims=claims_3_20, size=_TWO,
+        experiment=CAR_PARK, draw=_draw_3_20, claims=_claims_3_20, size=_TWO,
     ),
     Figure(
         name="N3.22", title="Car park: final map of DenseSLAM",
         says="The dense map lies on the laser image that SLAM and GPS make together; virtual "
         "landmarks were needed to take in the walls." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_3_22, claims=claims_3_22, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_3_22, claims=_claims_3_22, size=(7.5, 7.0),
     ),
     Figure(
         name="N3.23", title="Car park: raw returns before and after a loop closes",
@@ -499,7 +481,7 @@ FIGURES = (
         says="Some 3 m of error before the closing are reduced substantially; the accuracy is that "
         "of the raw observations." + OTHER_LOG,
         experiment=CAR_PARK, draw=partial(_closing, layer="occupancy"),
-        claims=claims_4_14, size=_TWO,
+        claims=_claims_4_14, size=_TWO,
     ),
     Figure(
         name="N4.15", title="Car park: final occupancy grid",
@@ -512,17 +494,17 @@ FIGURES = (
         name="N6.1", title="Car park: corners of the occupancy grid",
         says="A corner detector finds in the map what cannot be identified from one vantage "
         "point." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_1, claims=partial(_corner_claims, fine=True), size=_TWO,
+        experiment=CAR_PARK, draw=_draw_6_1, claims=partial(_corner_claims, fine=True), size=_TWO,
     ),
     Figure(
         name="N6.11", title="Car park: trajectory and laser image",
         says="SLAM combined with GPS gives a laser image of the environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_11, claims=claims_6_11, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_6_11, claims=_claims_6_11, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.12", title="Car park: raw observations in local regions",
         says="Raw observations fused into the regions are a map of the environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_12,
+        experiment=CAR_PARK, draw=_draw_6_12,
         claims=partial(_near_image, what="raw observations", layer="points"), size=(7.5, 7.0),
     ),
     Figure(
@@ -536,29 +518,29 @@ FIGURES = (
         name="N6.14", title="Car park: sum of Gaussians with d_min of 0.5 m",
         says="Gaussians, observed ones fused with the map's where nearer than d_min, represent the "
         "same environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_14,
+        experiment=CAR_PARK, draw=_draw_6_14,
         claims=partial(_near_image, what="the Gaussians' means", layer="sog"), size=(7.5, 7.0),
     ),
     Figure(
         name="N6.15", title="Car park: the sum of Gaussians as a surface",
         says="Evaluated on a grid of 0.5 m, the sum is high where something stands." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_15, claims=claims_6_15, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_6_15, claims=_claims_6_15, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.16", title="Car park: three layers of one run",
         says="Raw observations, Gaussians and a grid of the same data are kept at the same "
         "time." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_16, claims=claims_6_16, size=(15.0, 6.4),
+        experiment=CAR_PARK, draw=_draw_6_16, claims=_claims_6_16, size=(15.0, 6.4),
     ),
     Figure(
         name="N6.17", title="Car park: corners of the occupancy layer",
         says="The corner detector marks corners of buildings and cars." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_17, claims=_corner_claims, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_6_17, claims=_corner_claims, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.18", title="Car park: high level landmarks",
         says="Pairs of corners up to 7 m apart give rectangles, and the Gaussians in them nine "
         "high level landmarks." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_18, claims=claims_6_18, size=_TWO,
+        experiment=CAR_PARK, draw=_draw_6_18, claims=_claims_6_18, size=_TWO,
     ),
 )  # fmt: skip

@@ -22,7 +22,7 @@ from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claim, Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.interface import Experiment, Figure
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     mean,
@@ -119,13 +119,8 @@ class CarParkScans:
     gps: Array
 
 
-def car_park_scans(sources: Sources) -> CarParkScans:
+def car_park_scans(log: Log) -> CarParkScans:
     """Drive the log by reflectors, with GPS, and by both forms of Scan-SLAM. Raises InputError."""
-    return of_log(sources.log(FOLDER))
-
-
-def of_log(log: Log) -> CarParkScans:
-    """The same of a car park's log. Raises InputError."""
     if log.positions is None:
         raise InputError(f"{log.name}: holds no positions")
     feature, aided = (
@@ -192,8 +187,7 @@ def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Alig
     return tuple(found)
 
 
-def claims_5_10(found: CarParkScans) -> Claims:
-    """How many landmarks, and how far the paths are from GPS."""
+def _claims_5_10(found: CarParkScans) -> Claims:
     count = len(found.published.held.landmark_index)
     thesis, ours, feature = (
         float(np.median(away))
@@ -220,8 +214,7 @@ def claims_5_10(found: CarParkScans) -> Claims:
     yield at_most(text, ours / thesis, 1.0, why=why)
 
 
-def claims_5_11(found: CarParkScans) -> Claims:
-    """Whether the landmarks are as well known as the filter says."""
+def _claims_5_11(found: CarParkScans) -> Claims:
     yield _consistent("the landmark covariances are consistent with the errors", found.published)
     yield _consistent(f"so they are {_JOINED}", found.joined)
 
@@ -241,8 +234,7 @@ def _consistent(text: str, run: CarParkRun) -> Claim:
     return at_least(text, share, SHARE_WITHIN_3_SIGMA, why=why)
 
 
-def claims_5_12(found: CarParkScans) -> Claims:
-    """Where a template's points come to lie."""
+def _claims_5_12(found: CarParkScans) -> Claims:
     yield _on_the_scan("the alignment lays the template on the scan", found.published)
     yield _on_the_scan(
         f"so it does {_JOINED}", found.joined, "; half of a joined template need be in view"
@@ -263,7 +255,9 @@ def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
     return at_most(text, median(off), limit_m, "m", why=why, own=True)
 
 
-EXPERIMENT = Experiment("the car park, Scan-SLAM", car_park_scans, FOLDER)
+EXPERIMENT = Experiment(
+    "the car park, Scan-SLAM", lambda given: car_park_scans(given.log(FOLDER)), FOLDER
+)
 
 
 _MARGIN_M = 15.0
@@ -279,8 +273,7 @@ def _both(canvas: Canvas, found: CarParkScans) -> tuple[tuple[Axes, CarParkRun, 
     return tuple(zip((left, right), runs, _FORMS, strict=True))
 
 
-def draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
-    """Paths, templates and ellipses over the laser image."""
+def _draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
     for axis, run, form in _both(canvas, found):
         draw_cloud(axis, found.image)
         axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="GPS")
@@ -299,8 +292,7 @@ def _templates(axis: Axes, run: CarParkRun) -> None:
     axis.plot(*run.held.placed.T, ".", color="#111111", markersize=1.5, label="templates", zorder=3)
 
 
-def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
-    """Templates and their axes."""
+def _draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
     for axis, run, form in _both(canvas, found):
         _templates(axis, run)
         draw_lines(axis, axes_at(run.held.place, 3.0), EKF_COLOUR, "axes", 1.0, 4)
@@ -308,8 +300,7 @@ def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
     canvas.axes[0].legend(fontsize=8, loc="lower left")
 
 
-def draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
-    """A template on a scan, half of the others being laid better."""
+def _draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
     left, right = canvas.subplots(1, 2)
     for axis, run, form in zip((left, right), (found.published, found.joined), _FORMS, strict=True):
         one = run.shown
@@ -327,17 +318,17 @@ FIGURES = (
         says="Six landmarks were incorporated. The results are not as accurate as those of feature "
         "SLAM, since segments sometimes tell too little; templates with more information would "
         "improve them." + OTHER_LOG,
-        experiment=EXPERIMENT, draw=draw_5_10, claims=claims_5_10, size=(13.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_10, claims=_claims_5_10, size=(13.0, 7.0),
     ),
     Figure(
         name="N5.11", title="Car park, Scan-SLAM: map of the landmarks",
         says="The landmark covariances are consistent with the errors, so uncertainty "
         "remains." + OTHER_LOG,
-        experiment=EXPERIMENT, draw=draw_5_11, claims=claims_5_11, size=(13.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_11, claims=_claims_5_11, size=(13.0, 7.0),
     ),
     Figure(
         name="N5.12", title="Car park, Scan-SLAM: alignment of a template with a scan",
         says="Scan matching lays the landmark's template on the whole new scan." + OTHER_LOG,
-        experiment=EXPERIMENT, draw=draw_5_12, claims=claims_5_12, size=(13.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_12, claims=_claims_5_12, size=(13.0, 7.0),
     ),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial, wraps
+from functools import wraps
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -406,8 +406,7 @@ def _corrected(text: str, maps: Maps, layer: str) -> Claims:
 
 
 @_also_literally({2: _FEW})
-def claims_3_17(maps: Maps) -> Claims:
-    """The map errs most on the left, and closing the loop corrects all of it."""
+def _claims_3_17(maps: Maps) -> Claims:
     tallies = [m.dense.dense.tally for m in maps.all_drives]
     left, right = [], []
     for m in maps.closed:
@@ -436,8 +435,7 @@ def claims_3_17(maps: Maps) -> Claims:
 
 
 @_also_literally({})
-def claims_3_18(maps: Maps) -> Claims:
-    """Objects have the error of the landmarks around them."""
+def _claims_3_18(maps: Maps) -> Claims:
     ratios = []
     for m in maps.closed:
         point = occupied(m.before.layers["points"])
@@ -454,8 +452,7 @@ def claims_3_18(maps: Maps) -> Claims:
     yield at_most(text, median(ratios), 0.5, own=True)
 
 
-def claims_4_2(maps: Maps) -> Claims:
-    """Large noise, and still a map that is as good as it says."""
+def _claims_4_2(maps: Maps) -> Claims:
     squared, rms = [], []
     for mapping in maps.all_drives:
         e, true = mapping.ekf.estimate, truth_in_order(mapping.log)[1]
@@ -475,8 +472,7 @@ def claims_4_2(maps: Maps) -> Claims:
 
 
 @_also_literally({0: _FEW_CELLS})
-def claims_4_3(maps: Maps) -> Claims:
-    """One grid keeps its errors, a dense map is corrected along with the landmarks."""
+def _claims_4_3(maps: Maps) -> Claims:
     dense = np.array([m.errors["occupancy"].p95_m for m in maps.all_drives])
     classic = np.array([m.errors["classic"].p95_m for m in maps.all_drives])
     own, other = (
@@ -513,8 +509,7 @@ def claims_4_3(maps: Maps) -> Claims:
 
 
 @_also_literally({})
-def claims_4_4(found: Rounds) -> Claims:
-    """Walls in one grid are wider, and shapes are lost."""
+def _claims_4_4(found: Rounds) -> Claims:
     first, last = found.each[0], found.each[-1]
     at_first, in_the_end = (_misshapen(r, found.segment) for r in (first, last))
     why = ours(
@@ -547,8 +542,7 @@ def _misshapen(r: Round, segment: Array) -> float:
 
 
 @_also_literally({})
-def claims_4_5(found: Rounds) -> Claims:
-    """One grid is never corrected."""
+def _claims_4_5(found: Rounds) -> Claims:
     first, last = found.each[0], found.each[-1]
     third = next(r for r in found.each if r.number == _THIRD)
     why = ours(
@@ -566,8 +560,7 @@ def claims_4_5(found: Rounds) -> Claims:
 
 
 @_also_literally({})
-def claims_4_6(found: Coarsened) -> Claims:
-    """Almost empty regions get larger cells at no loss."""
+def _claims_4_6(found: Coarsened) -> Claims:
     coarse = int(np.count_nonzero(found.cell_m > _COARSE_M))
     why = ours(
         f"cells that nobody has seen are not empty; the emptiest region has {found.emptiest:.0%} "
@@ -587,8 +580,7 @@ def claims_4_6(found: Coarsened) -> Claims:
 
 
 @_also_literally({0: _TAILS, 1: _TAILS})
-def claims_4_10(found: Rounds) -> Claims:
-    """Most particles are likely occupied, and they are where the raw returns are."""
+def _claims_4_10(found: Rounds) -> Claims:
     weight = found.particles.occupancy
     particles, points = (surface_error(s, found.segment) for s in (found.particles, found.points))
     text = "87 % of the particles weigh more than 0.8"
@@ -603,8 +595,7 @@ def claims_4_10(found: Rounds) -> Claims:
 
 
 @_also_literally({})
-def claims_4_12(maps: Maps) -> Claims:
-    """A sum of Gaussians follows the surfaces as raw returns do."""
+def _claims_4_12(maps: Maps) -> Claims:
     ratio = [m.errors["sog"].median_m / m.errors["points"].median_m for m in maps.all_drives]
     count = [m.errors["sog"].occupied / m.errors["points"].occupied for m in maps.all_drives]
     text = "Gaussians represent the surfaces (median distance, over that of raw returns)"
@@ -621,8 +612,7 @@ def of_one_object(mapping: DenseMapping) -> SumOfGaussians:
 
 
 @_also_literally({})
-def claims_4_13(maps: Maps) -> Claims:
-    """Fewer Gaussians are nearly the same surface."""
+def _claims_4_13(maps: Maps) -> Claims:
     corner, fewer, alike = occupancy().world.outline[_OBJECT], [], []
     box = zip(corner.min(axis=0) - _BESIDE_M, corner.max(axis=0) + _BESIDE_M, strict=True)
     place = np.stack(np.meshgrid(*(np.arange(a, b, _STEP_M) for a, b in box)), -1).reshape(-1, 2)
@@ -641,8 +631,7 @@ def claims_4_13(maps: Maps) -> Claims:
 
 
 @_also_literally({})
-def claims_4_16(maps: Maps) -> Claims:
-    """Three layers of one run tell of the same surfaces."""
+def _claims_4_16(maps: Maps) -> Claims:
     reach = _CELLS * maps.all_drives[0].dense.options.resolution_m
     cells = [m.layers["occupancy"] for m in maps.all_drives]
     for name, key in (("particles", "particles"), ("Gaussians", "sog")):
@@ -669,17 +658,16 @@ def _map(
     plan(axis, title)
 
 
-def _before_and_after(canvas: Canvas, maps: Maps, layer: str) -> None:
-    """A layer before and after the closing."""
+def _draw_3_17(canvas: Canvas, maps: Maps) -> None:
     m = maps.closed[0]
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     b, now = m.before, m.mapping
     title = f"before the loop closes, {b.time_s:.0f} s"
-    _map(left, m, b.layers[layer], b.triangle, b.landmark, title)
-    _map(right, m, now.layers[layer], now.placed.triangle, now.dense.landmark, "after")
+    _map(left, m, b.layers["points"], b.triangle, b.landmark, title)
+    _map(right, m, now.layers["points"], now.placed.triangle, now.dense.landmark, "after")
 
 
-def draw_3_18(canvas: Canvas, maps: Maps) -> None:
+def _draw_3_18(canvas: Canvas, maps: Maps) -> None:
     """The left top before."""
     m = maps.closed[0]
     axis = canvas.add_subplot()
@@ -689,8 +677,7 @@ def draw_3_18(canvas: Canvas, maps: Maps) -> None:
     axis.set(xlim=(west - 10.0, west + 40.0), ylim=(north - 45.0, north + 8.0))
 
 
-def draw_4_2(canvas: Canvas, maps: Maps) -> None:
-    """The feature map among the objects."""
+def _draw_4_2(canvas: Canvas, maps: Maps) -> None:
     mapping = maps.closed[0].mapping
     axis, e = canvas.add_subplot(), mapping.ekf.estimate
     poses, true = truth_in_order(mapping.log)
@@ -700,8 +687,7 @@ def draw_4_2(canvas: Canvas, maps: Maps) -> None:
     plan(axis, "after the loop", legend="best")
 
 
-def draw_4_3(canvas: Canvas, maps: Maps) -> None:
-    """One grid left, DenseSLAM's right."""
+def _draw_4_3(canvas: Canvas, maps: Maps) -> None:
     m, (left, right) = maps.closed[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     now = m.mapping
     none = np.empty((0, 3, 2))
@@ -710,8 +696,7 @@ def draw_4_3(canvas: Canvas, maps: Maps) -> None:
     _map(right, m, held, now.placed.triangle, now.dense.landmark, "(b) DenseSLAM")
 
 
-def draw_4_4(canvas: Canvas, found: Rounds) -> None:
-    """All cells by their occupancy."""
+def _draw_4_4(canvas: Canvas, found: Rounds) -> None:
     last = found.each[-1]
     axes = canvas.subplots(1, 2, sharex=True, sharey=True)
     for axis, held, title in (
@@ -727,8 +712,7 @@ def draw_4_4(canvas: Canvas, found: Rounds) -> None:
     canvas.colorbar(drawn, ax=list(axes), label="occupancy", shrink=0.8)
 
 
-def draw_4_5(canvas: Canvas, found: Rounds) -> None:
-    """One grid after every round."""
+def _draw_4_5(canvas: Canvas, found: Rounds) -> None:
     axes = canvas.subplots(2, 3, sharex=True, sharey=True).ravel()
     for axis, r in zip(axes, found.each, strict=True):
         draw_surfaces(axis, found.segment)
@@ -736,8 +720,7 @@ def draw_4_5(canvas: Canvas, found: Rounds) -> None:
         plan(axis, f"round {r.number}: 95 % within {r.classic_error.p95_m:.2f} m")
 
 
-def draw_4_6(canvas: Canvas, found: Coarsened) -> None:
-    """Regions by the size of their cells."""
+def _draw_4_6(canvas: Canvas, found: Coarsened) -> None:
     axis = canvas.add_subplot()
     drawn = draw_error_layer(axis, found.triangle, found.cell_m)
     drawn.set_clim(0.2, 0.5)
@@ -747,8 +730,7 @@ def draw_4_6(canvas: Canvas, found: Coarsened) -> None:
     plan(axis, "size of cells")
 
 
-def draw_4_10(canvas: Canvas, found: Rounds) -> None:
-    """Particles, and their weights."""
+def _draw_4_10(canvas: Canvas, found: Rounds) -> None:
     left, right = canvas.subplots(1, 2, width_ratios=(1.3, 1.0))
     draw_surfaces(left, found.segment)
     draw_occupied(left, found.particles)
@@ -758,8 +740,7 @@ def draw_4_10(canvas: Canvas, found: Rounds) -> None:
     right.set_title("weights of all", fontsize=10)
 
 
-def draw_4_12(canvas: Canvas, maps: Maps) -> None:
-    """One-sigma ellipses of all Gaussians."""
+def _draw_4_12(canvas: Canvas, maps: Maps) -> None:
     m, axis = maps.closed[0], canvas.add_subplot()
     held = m.ellipses
     draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 12), SMOOTHER_COLOUR, width=0.3)
@@ -768,8 +749,7 @@ def draw_4_12(canvas: Canvas, maps: Maps) -> None:
     plan(axis, "Gaussians, 1 sigma")
 
 
-def draw_4_13(canvas: Canvas, maps: Maps) -> None:
-    """All of one object, and fewer."""
+def _draw_4_13(canvas: Canvas, maps: Maps) -> None:
     m, axes = maps.closed[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     every = of_one_object(m.mapping)
     some = every.thinned(THIN_M)
@@ -780,8 +760,7 @@ def draw_4_13(canvas: Canvas, maps: Maps) -> None:
     frame(axes[0], every.mean, 1.0)
 
 
-def draw_4_16(canvas: Canvas, maps: Maps) -> None:
-    """The layers side by side."""
+def _draw_4_16(canvas: Canvas, maps: Maps) -> None:
     m, axes = maps.closed[0], canvas.subplots(1, 3, sharex=True, sharey=True)
     for axis, name in zip(axes, ("occupancy", "particles", "sog"), strict=True):
         draw_regions(axis, m.mapping.placed.triangle)
@@ -794,41 +773,40 @@ FIGURES = (
         name="N3.17", title="Raw returns in local regions, before and after a loop closes",
         says="The dense map errs most at the left, and is corrected together with the landmarks "
         "when the loop closes.",
-        experiment=RAW, draw=partial(_before_and_after, layer="points"),
-        claims=claims_3_17, size=(12.0, 6.0),
+        experiment=RAW, draw=_draw_3_17, claims=_claims_3_17, size=(12.0, 6.0),
     ),
     Figure(
         name="N3.18", title="Close-up: objects and landmarks err alike",
         says="Before the closing the objects carry the same rotation and shift as the landmarks "
         "around them: their errors are highly correlated.",
-        experiment=RAW, draw=draw_3_18, claims=claims_3_18, size=(7.0, 7.0),
+        experiment=RAW, draw=_draw_3_18, claims=_claims_3_18, size=(7.0, 7.0),
     ),
     Figure(
         name="N4.2", title="Feature SLAM under large noise",
         says="Although noise was set high, the landmark map is close to the truth once the loop is "
         "closed, and as good as its ellipses say.",
-        experiment=LAYERED, draw=draw_4_2, claims=claims_4_2, size=(8.0, 7.0),
+        experiment=LAYERED, draw=_draw_4_2, claims=_claims_4_2, size=(8.0, 7.0),
     ),
     Figure(
         name="N4.3", title="One occupancy grid, and DenseSLAM's",
         says="After the first loop objects are misshapen in one grid in the world's frame, while "
         "DenseSLAM's grids are corrected along with the landmarks.",
-        experiment=LAYERED, draw=draw_4_3, claims=claims_4_3, size=(12.0, 6.0),
+        experiment=LAYERED, draw=_draw_4_3, claims=_claims_4_3, size=(12.0, 6.0),
     ),
     Figure(
         name="N4.4", title="All cells of both, after ten rounds",
         says="One grid has wider walls and misshapen objects; DenseSLAM's keep their shape.",
-        experiment=ROUNDED, draw=draw_4_4, claims=claims_4_4, size=(12.0, 6.0),
+        experiment=ROUNDED, draw=_draw_4_4, claims=_claims_4_4, size=(12.0, 6.0),
     ),
     Figure(
         name="N4.5", title="One occupancy grid, round after round",
         says="One grid is never corrected: later rounds draw the same objects in other places.",
-        experiment=ROUNDED, draw=draw_4_5, claims=claims_4_5, size=(13.0, 8.5),
+        experiment=ROUNDED, draw=_draw_4_5, claims=_claims_4_5, size=(13.0, 8.5),
     ),
     Figure(
         name="N4.6", title="Larger cells in almost empty regions",
         says="Regions that hold hardly anything can be kept at a lower resolution.",
-        experiment=COARSENED, draw=draw_4_6, claims=claims_4_6, size=(8.5, 7.0),
+        experiment=COARSENED, draw=_draw_4_6, claims=_claims_4_6, size=(8.5, 7.0),
     ),
     Figure(
         name="N4.10", title="Particles and their weights",
@@ -837,22 +815,22 @@ FIGURES = (
         "50,000 particles; with all kept ours has 22,000 after one round, 52,000 after ten. It "
         "does not say that particles which have become free are dropped: with those below 0.3 "
         "kept, too, 84 % weigh more than 0.8 and 12 % less than 0.5 by its settings.",
-        experiment=ROUNDED, draw=draw_4_10, claims=claims_4_10, size=(12.0, 5.5),
+        experiment=ROUNDED, draw=_draw_4_10, claims=_claims_4_10, size=(12.0, 5.5),
     ),
     Figure(
         name="N4.12", title="A sum of Gaussians",
         says="Gaussians, fused with the nearest return, represent the objects' surfaces.",
-        experiment=LAYERED, draw=draw_4_12, claims=claims_4_12, size=(8.0, 7.0),
+        experiment=LAYERED, draw=_draw_4_12, claims=_claims_4_12, size=(8.0, 7.0),
     ),
     Figure(
         name="N4.13", title="Gaussians of one object",
         says="The sum could be subsampled and still be a representation of similar quality.",
-        experiment=LAYERED, draw=draw_4_13, claims=claims_4_13, size=(12.0, 5.6),
+        experiment=LAYERED, draw=_draw_4_13, claims=_claims_4_13, size=(12.0, 5.6),
     ),
     Figure(
         name="N4.16", title="Three layers of one run",
         says="Different layers of the same data are kept at the same time, each in its own way "
         "(there the car park, here the simulation).",
-        experiment=LAYERED, draw=draw_4_16, claims=claims_4_16, size=(15.0, 5.4),
+        experiment=LAYERED, draw=_draw_4_16, claims=_claims_4_16, size=(15.0, 5.4),
     ),
 )  # fmt: skip

@@ -21,7 +21,7 @@ from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.interface import Experiment, Figure
 from comparisons.experiments.reproduction.measures import at_gps
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.logs.log import Log
@@ -94,13 +94,8 @@ def _off_gps_m(log: Log, time_s: Array, pose: Array) -> float:
     return np.nan if median is None else median
 
 
-def clouds(sources: Sources) -> Clouds:
-    """Run FastSLAM 2.0 on the detections."""
-    return clouds_of(sources.log(_PARK), PARTICLES)
-
-
-def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
-    """Run it on a log with positions, which judge it."""
+def clouds(log: Log, particles: tuple[int, ...] = PARTICLES) -> Clouds:
+    """Run FastSLAM 2.0 on the detections of a log with positions, which judge it."""
     positions = log.positions
     if positions is None:
         raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
@@ -125,8 +120,7 @@ def _run(log: Log, particles: int) -> CloudRun:
     )
 
 
-def claims_2_6(found: FinalMap) -> Claims:
-    """The trajectory is right, and a sparse map of trees explains what was detected."""
+def _claims_2_6(found: FinalMap) -> Claims:
     text = "the estimated trajectory follows the vehicle's (median distance from GPS, aligned)"
     yield at_most(text, found.median_m, 2.0, "m", own=True)
     text = "the map is of the trees that are detected (share of the detections that it explains)"
@@ -135,8 +129,7 @@ def claims_2_6(found: FinalMap) -> Claims:
     yield at_most(text, len(found.landmark) / len(found.used), 0.01, own=True)
 
 
-def claims(found: Clouds) -> Claims:
-    """The trajectory is right, and particles are lost."""
+def _claims_2_13(found: Clouds) -> Claims:
     most = found.runs[-1]
     text = (
         f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
@@ -155,16 +148,14 @@ def claims(found: Clouds) -> Claims:
     yield at_most(text, most.left_of_the_first_tenth / most.particles, 0.1, own=True)
 
 
-def draw_2_6(canvas: Canvas, found: FinalMap) -> None:
-    """Path and trees."""
+def _draw_2_6(canvas: Canvas, found: FinalMap) -> None:
     axis = canvas.add_subplot()
     draw_trajectory(axis, found.path, EKF_COLOUR, "estimated path")
     axis.plot(*found.landmark.T, "*", color=_STARS, markersize=5, label="landmarks")
     plan(axis, f"EKF-SLAM, {len(found.landmark)} landmarks", legend="best")
 
 
-def draw(canvas: Canvas, found: Clouds) -> None:
-    """Left the map of Fig. 2.13; right the particles that are left of each instant."""
+def _draw_2_13(canvas: Canvas, found: Clouds) -> None:
     grid = canvas.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
     axis, most = canvas.add_subplot(grid[0]), found.runs[-1]
     draw_reference(axis, found.gps, ".", "GPS")
@@ -194,14 +185,16 @@ FIGURES = (
         experiment=Experiment(
             "section 2.8.2, Victoria Park", lambda given: final_map(given.log(_PARK)), _PARK
         ),
-        draw=draw_2_6, claims=claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
+        draw=_draw_2_6, claims=_claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
     ),
     Figure(
         name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
         "landmark the average of the Gaussian means. Resampling loses particles, and with them "
         "part of the map's history.",
-        experiment=Experiment("section 2.10, FastSLAM", clouds, _PARK), draw=draw,
-        claims=claims, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
+        experiment=Experiment(
+            "section 2.10, FastSLAM", lambda given: clouds(given.log(_PARK)), _PARK
+        ),
+        draw=_draw_2_13, claims=_claims_2_13, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
     ),
 )  # fmt: skip

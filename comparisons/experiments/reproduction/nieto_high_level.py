@@ -234,8 +234,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
 _UNKNOWN, _CELLS_M = 0.5, 0.4
 
 
-def claims_6_2(found: Pairs) -> Claims:
-    """Either layer shows the object."""
+def _claims_6_2(found: Pairs) -> Claims:
     shares, off = list[float](), list[float]()
     for one, true in zip(found.each, found.true, strict=True):
         if one.search.found:
@@ -253,8 +252,7 @@ def claims_6_2(found: Pairs) -> Claims:
     yield at_most(text, max(off, default=np.nan), _CELLS_M, "m", own=True)
 
 
-def claims_6_4(found: Pairs) -> Claims:
-    """Two pairs of corners, of which one has enough Gaussians."""
+def _claims_6_4(found: Pairs) -> Claims:
     corners = [len(one.search.corner) for one in found.each]
     shown = [len(one.search.candidate) for one in found.each]
     right = [n == 2 and one.accepted.sum() == 1 for n, one in zip(shown, found.each, strict=True)]
@@ -269,8 +267,7 @@ def claims_6_4(found: Pairs) -> Claims:
     yield at_most(text, max(np.concatenate(poor), default=np.nan), LEAST - 1)
 
 
-def claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
-    """Few at first, more after the loop."""
+def _claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
     first = [d.searches[0] for d in found.each]
     shown = [len(one.search.candidate) for one in first]
     taken = [int(one.accepted.sum()) for one in first]
@@ -299,8 +296,7 @@ def claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
     yield at_least(text, np.median(kept), FIRST + LATER, why=why)
 
 
-def claims_6_6(found: Drives[HighLevelDrive]) -> Claims:
-    """Where the templates lie, and what they contribute."""
+def _claims_6_6(found: Drives[HighLevelDrive]) -> Claims:
     off = [
         float(np.median(distance_to_segments(rigid_motion(d.landmark, d.true)(points), d.segment)))
         for d in found.each
@@ -334,8 +330,7 @@ HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)
 _BESIDE_M = 3.0
 
 
-def draw_6_2(canvas: Canvas, found: Pairs) -> None:
-    """The landmark of the first drive, with its axes."""
+def _draw_6_2(canvas: Canvas, found: Pairs) -> None:
     axes, one = canvas.subplots(1, 2, sharex=True, sharey=True), found.each[0]
     (east, north), height, g = one.cells_of_it.point.T, one.cells_of_it.occupancy, one.template
     drawn = axes[0].scatter(east, north, s=11.0, marker="s", linewidths=0, c=height, vmin=0, vmax=1)
@@ -349,8 +344,7 @@ def draw_6_2(canvas: Canvas, found: Pairs) -> None:
     frame(axes[0], one.search.candidate[one.accepted][0], 0.5)
 
 
-def draw_6_4(canvas: Canvas, found: Pairs) -> None:
-    """Both pairs of the first drive."""
+def _draw_6_4(canvas: Canvas, found: Pairs) -> None:
     axis, one = canvas.add_subplot(), found.each[0]
     draw_surfaces(axis, found.segment)
     _draw_search(axis, one)
@@ -359,8 +353,7 @@ def draw_6_4(canvas: Canvas, found: Pairs) -> None:
     plan(axis, title, legend="lower center", columns=2)
 
 
-def draw_6_5(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
-    """The first search, and the end."""
+def _draw_6_5(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     d = found.each[0]
     first = d.searches[0]
@@ -377,8 +370,7 @@ def draw_6_5(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     plan(right, "(b) after the loop, in the end", legend="lower right")
 
 
-def draw_6_6(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
-    """Templates and axes."""
+def _draw_6_6(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     axis, d = canvas.add_subplot(), found.each[0]
     _draw_end(axis, d)
     for points in d.placed:
@@ -421,24 +413,24 @@ FIGURES = (
     Figure(
         name="N6.2", title="A high level landmark in two layers",
         says="A landmark of the dense map, with local axes, may be a grid or a sum of Gaussians.",
-        experiment=CORNER_PAIRS, draw=draw_6_2, claims=claims_6_2, size=(13.0, 5.6),
+        experiment=CORNER_PAIRS, draw=_draw_6_2, claims=_claims_6_2, size=(13.0, 5.6),
     ),
     Figure(
         name="N6.4", title="Two pairs of corners, one with too few Gaussians",
         says="Four corners make two candidates; the first has enough Gaussians under its "
         "rectangle, the second has not and is no landmark.",
-        experiment=CORNER_PAIRS, draw=draw_6_4, claims=claims_6_4, size=(9.0, 6.0),
+        experiment=CORNER_PAIRS, draw=_draw_6_4, claims=_claims_6_4, size=(9.0, 6.0),
     ),
     Figure(
         name="N6.5", title="The first search for high level landmarks, and the map after the loop",
         says="Of three candidates that the first search finds one is accepted; once the loop is "
         "closed four more have been found and are in the state.",
-        experiment=HIGH_LEVEL, draw=draw_6_5, claims=claims_6_5, size=(13.0, 6.2),
+        experiment=HIGH_LEVEL, draw=_draw_6_5, claims=_claims_6_5, size=(13.0, 6.2),
     ),
     Figure(
         name="N6.6", title="The final map of high level landmarks",
         says="The templates' dense information is used for navigation beside the point landmarks, "
         "which makes localisation much more robust.",
-        experiment=HIGH_LEVEL, draw=draw_6_6, claims=claims_6_6, size=(8.0, 7.0),
+        experiment=HIGH_LEVEL, draw=_draw_6_6, claims=_claims_6_6, size=(8.0, 7.0),
     ),
 )  # fmt: skip

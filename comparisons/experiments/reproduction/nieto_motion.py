@@ -126,8 +126,7 @@ def changed_places(sources: Sources) -> Motions:
     return _motions(experiment, dynamic_worlds.changed_places(experiment.world.movers), sources)
 
 
-def claims_6_9(found: Motions) -> Claims:
-    """Both lanes, and hardly anything else."""
+def _claims_6_9(found: Motions) -> Claims:
     off = [_off(m.score.middle[:, 1:], found.true[:, 1:]) for m in found.each]
     text = (
         "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
@@ -142,8 +141,7 @@ def claims_6_9(found: Motions) -> Claims:
     yield at_least(text, min(m.score.recall for m in found.each), 0.9, own=True)
 
 
-def claims_6_10(found: Motions) -> Claims:
-    """The three places, and no other."""
+def _claims_6_10(found: Motions) -> Claims:
     off = [_off(m.score.middle, found.true) for m in found.each]
     text = (
         "areas are found where the objects stood or stand (largest distance of their middles, "
@@ -175,13 +173,11 @@ def _draw(axis: Axes, found: Motions, title: str) -> None:
     plan(axis, title)
 
 
-def draw_6_9(canvas: Canvas, found: Motions) -> None:
-    """The dynamic cells over what is occupied in the end."""
+def _draw_6_9(canvas: Canvas, found: Motions) -> None:
     _draw(canvas.add_subplot(), found, "fast motion (orange), what is occupied, regions")
 
 
-def draw_6_10(canvas: Canvas, found: Motions) -> None:
-    """The same, with the places that changed."""
+def _draw_6_10(canvas: Canvas, found: Motions) -> None:
     axis = canvas.add_subplot()
     _draw(axis, found, "slow motion (orange), the changed places (circles)")
     axis.plot(*found.true.T, "o", markersize=16, markerfacecolor="none", color=TRUTH_COLOUR)
@@ -287,8 +283,7 @@ _RAGGED = ours(
 )
 
 
-def claims_6_19(found: Drives[ParkedCars]) -> Claims:
-    """All cars, in two areas, and nothing else."""
+def _claims_6_19(found: Drives[ParkedCars]) -> Claims:
     off = [off_cars(d.dynamic) for d in found.each]
     count = np.array([len(middles(d.dynamic)) for d in found.each])
     yield at_least(
@@ -312,8 +307,7 @@ def claims_6_19(found: Drives[ParkedCars]) -> Claims:
     )
 
 
-def claims_6_20(found: Drives[ParkedCars]) -> Claims:
-    """What is under an area, and the rest."""
+def _claims_6_20(found: Drives[ParkedCars]) -> Claims:
     left = np.concatenate([d.left for d in found.each])
     removed = np.concatenate([d.removed for d in found.each])
     text = (
@@ -340,8 +334,7 @@ def _draw_cells(axis: Axes, one: ParkedCars, point: Array, colour: str, title: s
     frame(axis, one.landmark, 6.0)
 
 
-def draw_6_19(canvas: Canvas, found: Drives[ParkedCars]) -> None:
-    """The map at both times, and what is found."""
+def _draw_6_19(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     before, after, moved = canvas.subplots(1, 3, sharex=True, sharey=True)
     one = found.each[0]
     _draw_cells(before, one, one.first, DENSE_COLOUR, "(a) occupied, three cars more; red: to go")
@@ -350,8 +343,7 @@ def draw_6_19(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     _draw_cells(moved, one, one.dynamic, "black", "(c) slow motion")
 
 
-def draw_6_20(canvas: Canvas, found: Drives[ParkedCars]) -> None:
-    """Templates and rectangles, and the areas."""
+def _draw_6_20(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     axis, one = canvas.add_subplot(), found.each[0]
     axis.plot(*np.vstack(one.template).T, ".", color=DENSE_COLOUR, markersize=2, zorder=3)
     for state, width, seen in (("in the state", 1.8, True), ("not seen again", 0.7, False)):
@@ -372,27 +364,27 @@ FIGURES = (
         name="N6.9", title="Fast motion found by differencing occupancy",
         says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, where "
         "the two objects move; the contours of what stands are filtered away.",
-        experiment=Experiment("section 6.3.3, fast motion", lanes), draw=draw_6_9,
-        claims=claims_6_9, size=(8.0, 7.0),
+        experiment=Experiment("section 6.3.3, fast motion", lanes), draw=_draw_6_9,
+        claims=_claims_6_9, size=(8.0, 7.0),
     ),
     Figure(
         name="N6.10", title="Slow motion found between two visits",
         says="Between two visits one object is taken away and two are brought; three areas are "
         "found, and these are the places.",
-        experiment=Experiment("section 6.3.3, slow motion", changed_places), draw=draw_6_10,
-        claims=claims_6_10, size=(8.0, 7.0),
+        experiment=Experiment("section 6.3.3, slow motion", changed_places), draw=_draw_6_10,
+        claims=_claims_6_10, size=(8.0, 7.0),
     ),
     Figure(
         name="N6.19", title="Car park, simulated: slow motion where three cars have left",
         says="Between two occupancy maps of a car park three cars leave; two areas are found, one "
         "where two cars stood side by side and one where the third stood.",
-        experiment=_PARKED, draw=draw_6_19, claims=claims_6_19, size=(17.0, 5.8),
+        experiment=_PARKED, draw=_draw_6_19, claims=_claims_6_19, size=(17.0, 5.8),
     ),
     Figure(
         name="N6.20", title="Car park, simulated: the landmark under a dynamic area is removed",
         says="The areas are laid over the map of high level landmarks; the landmark under one of "
         "them is removed from the state vector.",
-        experiment=_PARKED, draw=draw_6_20, claims=claims_6_20, size=(8.5, 7.5),
+        experiment=_PARKED, draw=_draw_6_20, claims=_claims_6_20, size=(8.5, 7.5),
     ),
 )  # fmt: skip
 

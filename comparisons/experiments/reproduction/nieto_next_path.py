@@ -339,8 +339,7 @@ def _side(first: Array, second: Array, point: Array) -> Array:
     return side
 
 
-def claims(found: NextPath) -> Claims:
-    """Filter and smoother agree on a choice that the map allows."""
+def _claims_7_2_4(found: NextPath) -> Claims:
     ours, theirs = found.by_filter, found.by_smoother
     spread = np.ptp(theirs.gain)
     text = (
@@ -367,8 +366,7 @@ def claims(found: NextPath) -> Claims:
     yield at_least(text, sum(crossings(way[[0, -1]], found.segment) for way in found.way), 1.0)
 
 
-def draw(canvas: Canvas, found: NextPath) -> None:
-    """The candidates over the map, and what each would gain."""
+def _draw_7_2_4(canvas: Canvas, found: NextPath) -> None:
     left, right = canvas.subplots(1, 2)
     ours, theirs = found.by_filter.gain, found.by_smoother.gain
     draw_occupied(left, found.held)
@@ -393,6 +391,6 @@ FIGURES = (
         name="N7.2.4", place="section 7.2.4", title="The next path, by what it would leave unknown",
         says="Future research: with a dense map the next path can be planned, and chosen for what "
         "it would add to the information of the whole system.",
-        experiment=EXPERIMENT, draw=draw, claims=claims, size=(11.0, 5.0),
+        experiment=EXPERIMENT, draw=_draw_7_2_4, claims=_claims_7_2_4, size=(11.0, 5.0),
     ),
 )  # fmt: skip

@@ -222,8 +222,7 @@ def _drive(rng: np.random.Generator) -> PeopleDrive:
     return PeopleDrive(poses, people, landmark, *tracks)
 
 
-def claims_3_7_1(found: Drives[PeopleDrive]) -> Claims:
-    """What people tell the robot, and what the tracks are without it."""
+def _claims_3_7_1(found: Drives[PeopleDrive]) -> Claims:
     drives = found.each
     gap = [(d.full.person - d.one_way.person)[:, :, :2].reshape(-1, 2) for d in drives]
     own = [d.one_way.own[:, :, :2, :2].reshape(-1, 2, 2) for d in drives]
@@ -258,8 +257,7 @@ def claims_3_7_1(found: Drives[PeopleDrive]) -> Claims:
     yield at_most(text, max(d.one_way.kept / d.full.kept for d in drives), 0.5, own=True)
 
 
-def draw_3_7_1(canvas: Canvas, found: Drives[PeopleDrive]) -> None:
-    """The tracks, and how well the robot is known."""
+def _draw_3_7_1(canvas: Canvas, found: Drives[PeopleDrive]) -> None:
     left, right = canvas.subplots(1, 2, width_ratios=(1.2, 1.0))
     one = found.each[0]
     draw_reference(left, one.landmark, "*", "landmarks")
@@ -281,7 +279,7 @@ FIGURES = (
         name="N3.7.1", title="People tracked by the unidirectional information flow",
         says="People walk at random and tell a robot that does SLAM nothing, while their tracks "
         "receive what it learns: covariances among people need not be kept.",
-        experiment=Experiment("section 3.7.1", people_drives), draw=draw_3_7_1,
-        claims=claims_3_7_1, size=(12.0, 5.4), place="section 3.7.1",
+        experiment=Experiment("section 3.7.1", people_drives), draw=_draw_3_7_1,
+        claims=_claims_3_7_1, size=(12.0, 5.4), place="section 3.7.1",
     ),
 )  # fmt: skip

@@ -76,8 +76,7 @@ def examples(sources: Sources) -> Examples:
     )
 
 
-def claims_3_5(found: Examples) -> Claims:
-    """In its region a point is correlated with nothing else."""
+def _claims_3_5(found: Examples) -> Claims:
     before = [e.time_s < t - 1e-6 for e, t in zip(found.each, found.closing_s, strict=True)]
 
     def until(values: list[Array]) -> Array:
@@ -107,8 +106,7 @@ def claims_3_5(found: Examples) -> Claims:
     yield at_most(text, max(r.max() for r in ratio), 0.2, why=why, own=True)
 
 
-def claims_3_12(found: Examples) -> Claims:
-    """What later scans would move in the world hardly moves in the region."""
+def _claims_3_12(found: Examples) -> Claims:
     world = np.array([e.moved.world_m.max() for e in found.each])
     local = np.array([e.moved.local_m.max() for e in found.each])
     unsettled = [
@@ -296,12 +294,12 @@ FIGURES = (
         name="N3.5", title="Decorrelation of a point within its region",
         says="A point close to three landmarks is highly correlated with them; expressed in their "
         "frame it is almost uncorrelated with the rest of the map, and far better known.",
-        experiment=EXPERIMENT, draw=draw_3_5, claims=claims_3_5, size=(9.0, 7.5),
+        experiment=EXPERIMENT, draw=draw_3_5, claims=_claims_3_5, size=(9.0, 7.5),
     ),
     Figure(
         name="N3.12", title="Change of the same point's place, in the world and in its region",
         says="Where the point would move by more than half a metre in the world, it moves by about "
         "a tenth of a metre in its region, and soon not at all: that is what a dense map neglects.",
-        experiment=EXPERIMENT, draw=draw_3_12, claims=claims_3_12, size=(9.0, 4.2),
+        experiment=EXPERIMENT, draw=draw_3_12, claims=_claims_3_12, size=(9.0, 4.2),
     ),
 )  # fmt: skip

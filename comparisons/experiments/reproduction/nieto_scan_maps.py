@@ -205,8 +205,7 @@ _BESIDE_M = 3.0
 _KINDS = ((EKF_COLOUR, "template"), (SMOOTHER_COLOUR, "with map"))
 
 
-def claims_6_7(found: ScanMaps) -> Claims:
-    """A dense map without a point landmark."""
+def _claims_6_7(found: ScanMaps) -> Claims:
     each, layers = found.each, LAYERS
     after = [one.mapping.errors[name].median_m for one in each for name in layers]
     before = [
@@ -241,8 +240,7 @@ def claims_6_7(found: ScanMaps) -> Claims:
     yield at_least(text, min(more), 2.0, why=why, own=True)
 
 
-def claims_6_8(found: ScanMaps) -> Claims:
-    """Where an alignment may begin."""
+def _claims_6_8(found: ScanMaps) -> Claims:
     basin = found.basin
     far = basin.error_m >= 1.0
     failed = 1.0 - basin.converged[far].mean(axis=0)
@@ -260,8 +258,7 @@ def claims_6_8(found: ScanMaps) -> Claims:
     yield at_most(text, wrong[1] / wrong[0], 1.0)
 
 
-def draw_6_7(canvas: Canvas, found: ScanMaps) -> None:
-    """Environment and paths, scan landmarks, and both layers."""
+def _draw_6_7(canvas: Canvas, found: ScanMaps) -> None:
     one = found.each[0]
     axes = canvas.subplots(2, 2, sharex=True, sharey=True)
     _paths(axes[0, 0], one)
@@ -295,8 +292,7 @@ def _landmarks(axis: Axes, one: ScanMap) -> None:
     plan(axis, "(b) scan landmarks, axes and 3 sigma")
 
 
-def draw_6_8(canvas: Canvas, found: ScanMaps) -> None:
-    """One landmark alone and with the map around it; how far off alignments may begin."""
+def _draw_6_8(canvas: Canvas, found: ScanMaps) -> None:
     left, middle, right = canvas.subplots(1, 3)
     _template(left, found.shown, with_map=False)
     _template(middle, found.shown, with_map=True)
@@ -403,12 +399,12 @@ FIGURES = (
         name="N6.7", title="DenseSLAM between the landmarks of Scan-SLAM",
         says="Without a point landmark the local regions are anchored to scan landmarks, and the "
         "dense maps between them hold much more than the templates by themselves.",
-        experiment=SCAN_MAPS, draw=draw_6_7, claims=claims_6_7, size=(11.0, 9.6),
+        experiment=SCAN_MAPS, draw=_draw_6_7, claims=_claims_6_7, size=(11.0, 9.6),
     ),
     Figure(
         name="N6.8", title="A scan landmark with the dense map around it",
         says="A template augmented with the dense map around it makes convergence to a local "
         "maximum less probable.",
-        experiment=SCAN_MAPS, draw=draw_6_8, claims=claims_6_8, size=(14.0, 4.8),
+        experiment=SCAN_MAPS, draw=_draw_6_8, claims=_claims_6_8, size=(14.0, 4.8),
     ),
 )  # fmt: skip

@@ -307,8 +307,7 @@ def _placed(held: ScanMap, place: Array) -> Array:
     return np.vstack([np.zeros((0, 2)), *moved])
 
 
-def claims_5_8(found: ScanDrives) -> Claims:
-    """The path, what the map is off, and what the closing does to it."""
+def _claims_5_8(found: ScanDrives) -> Claims:
     ratio = [d.ate_m / d.wheels_m for d in found.each]
     fall = [now / then for then, now in (d.errors_m for d in found.each)]
     before, after = [d.before for d in found.each], [d.after for d in found.each]
@@ -363,8 +362,7 @@ def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
     yield _inside("by the thesis' settings they are so after it", [d.after for d in drives])
 
 
-def claims_5_9(found: ScanDrives) -> Claims:
-    """What the templates hold, and their axes' ellipses."""
+def _claims_5_9(found: ScanDrives) -> Claims:
     yield from _left_top("templates show", "there the true axes are", found.each)
     yield from _left_top(
         "by the thesis' settings templates show",
@@ -411,8 +409,7 @@ _OBJECT_COLOUR = "#aaaaaa"
 _BESIDE_M = 4.0
 
 
-def draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
-    """Before the loop closes, and at the end; the end by the thesis' settings."""
+def _draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
     left, right, thesis = canvas.subplots(1, 3, sharex=True, sharey=True)
     d, other = found.shown, found.shown_published
     _draw(left, d, d.before, d.path_before)
@@ -431,8 +428,7 @@ def draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
                   fontsize=9)  # fmt: skip
 
 
-def draw_5_9(canvas: Canvas, found: ScanDrives) -> None:
-    """The left top, at the end."""
+def _draw_5_9(canvas: Canvas, found: ScanDrives) -> None:
     axis, d = canvas.add_subplot(), found.shown
     _draw(axis, d, d.after, d.path, axis_m=2.0, dot=4.0)
     there = d.segment.reshape(-1, 2)
@@ -465,11 +461,11 @@ FIGURES = (
         name="N5.8", title="Scan-SLAM among objects, before and after the loop closes",
         says="Pieces of scans serve as landmarks of an EKF; the estimated path follows the true "
         "one, and once the loop is closed the error between true and estimated objects is smaller.",
-        experiment=EXPERIMENT, draw=draw_5_8, claims=claims_5_8, size=(21.0, 7.6),
+        experiment=EXPERIMENT, draw=_draw_5_8, claims=_claims_5_8, size=(21.0, 7.6),
     ),
     Figure(
         name="N5.9", title="Zoom of the left top: objects, templates and their axes",
         says="The templates add the sensor's information in detail; the ellipses bound their axes.",
-        experiment=EXPERIMENT, draw=draw_5_9, claims=claims_5_9, size=(8.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_9, claims=_claims_5_9, size=(8.0, 7.0),
     ),
 )  # fmt: skip

@@ -141,8 +141,7 @@ def _trial(rng: np.random.Generator, first: Array, second: Array, truth: Array) 
     return Trial(before, sog, other, found.covariance, usable and seen.converged)
 
 
-def claims_5_5(found: Scans) -> Claims:
-    """Both lie on each other, and the covariance says how well."""
+def _claims_5_5(found: Scans) -> Claims:
     taken = [t for t in found.each if t.usable]
     nees = [float(t.sog @ np.linalg.solve(t.covariance, t.sog)) for t in taken]
     yield from _good("the correlation", found, np.array([t.sog for t in found.each]))
@@ -153,8 +152,7 @@ def claims_5_5(found: Scans) -> Claims:
     yield within(text, np.mean(nees) if nees else np.nan, mean_band(len(nees), 3))
 
 
-def claims_5_6(found: Scans) -> Claims:
-    """So they do with iterated closest points."""
+def _claims_5_6(found: Scans) -> Claims:
     why = ours(
         "points are paired with points, a few centimetres apart on these walls: so much it stays "
         "off, and more rounds help little; the figure would not show it"
@@ -186,15 +184,13 @@ def _draw(axis: Axes, found: Scans, error: Array, title: str) -> None:
     axis.legend(fontsize=8, loc="best")
 
 
-def draw_5_5(canvas: Canvas, found: Scans) -> None:
-    """Before and after."""
+def _draw_5_5(canvas: Canvas, found: Scans) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     _draw(left, found, found.shown.before, f"(a) as displaced: {_reported(found.shown.before)}")
     _draw(right, found, found.shown.sog, f"(b) sums of Gaussians: {_reported(found.shown.sog)}")
 
 
-def draw_5_6(canvas: Canvas, found: Scans) -> None:
-    """The same after ICP."""
+def _draw_5_6(canvas: Canvas, found: Scans) -> None:
     _draw(canvas.add_subplot(), found, found.shown.icp, f"ICP: {_reported(found.shown.icp)}")
 
 
@@ -209,12 +205,12 @@ FIGURES = (
         name="N5.5", title="Two scans aligned as sums of Gaussians",
         says="Two scans of an office, displaced, are laid onto each other by the maximum of their "
         "correlation; under certain conditions the estimate is consistent.",
-        experiment=EXPERIMENT, draw=draw_5_5, claims=claims_5_5, size=(12.0, 5.6),
+        experiment=EXPERIMENT, draw=_draw_5_5, claims=_claims_5_5, size=(12.0, 5.6),
     ),
     Figure(
         name="N5.6", title="The same by iterated closest points",
         says=f"ICP of {ROUNDS} iterations appears to align the same scans as well as the "
         "correlation.",
-        experiment=EXPERIMENT, draw=draw_5_6, claims=claims_5_6, size=(7.0, 5.6),
+        experiment=EXPERIMENT, draw=_draw_5_6, claims=_claims_5_6, size=(7.0, 5.6),
     ),
 )  # fmt: skip

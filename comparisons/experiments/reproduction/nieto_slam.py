@@ -231,8 +231,7 @@ _SIDES = ("before", "after")
 _TOO_SURE = theirs("EKF-SLAM grows too sure as its heading errs; see `slamcheck montecarlo`")
 
 
-def claims_2_8(found: Drives[LoopDrive]) -> Claims:
-    """The largest error is at the far side; closing the loop corrects the map."""
+def _claims_2_8(found: Drives[LoopDrive]) -> Claims:
     left, right = [], []
     for d in found.each:
         east = d.true_path[:, 0]
@@ -248,8 +247,7 @@ def claims_2_8(found: Drives[LoopDrive]) -> Claims:
     yield at_most(text, rms(*after) / rms(*before), 1.0)
 
 
-def claims_2_9(found: Drives[LoopDrive]) -> Claims:
-    """Of the far part of the map: errors lie within the ellipses, and both shrink."""
+def _claims_2_9(found: Drives[LoopDrive]) -> Claims:
     drives = found.each
     far = [d.before.far(d.true_path[0]) for d in drives]
     each = list(zip(drives, far, strict=True))
@@ -287,8 +285,7 @@ def claims_2_9(found: Drives[LoopDrive]) -> Claims:
     yield at_least(text, np.mean(np.concatenate(inside)), SHARE_WITHIN_3_SIGMA, why=why)
 
 
-def claims_2_10(found: Drives[LoopDrive]) -> Claims:
-    """Errors are as large as stated; a landmark's uncertainty only ever falls."""
+def _claims_2_10(found: Drives[LoopDrive]) -> Claims:
     drives = found.each
     inside = np.concatenate([np.abs(d.poses.error) <= 3.0 * d.poses.sigma for d in drives])
     for name, share in zip(("east", "north", "heading"), inside.mean(axis=0), strict=True):
@@ -307,8 +304,7 @@ def claims_2_10(found: Drives[LoopDrive]) -> Claims:
     yield at_most(text, growth, 1.0 + 1e-9)
 
 
-def claims_2_11(found: Drives[LoopDrive]) -> Claims:
-    """The map grows more correlated by the closing, and by every further loop."""
+def _claims_2_11(found: Drives[LoopDrive]) -> Claims:
     before, after, end = (
         np.array([getattr(d, name).mean_correlation for d in found.each])
         for name in (*_SIDES, "end")
@@ -322,8 +318,7 @@ def claims_2_11(found: Drives[LoopDrive]) -> Claims:
     yield at_least(text, np.min(end / after), 1.0)
 
 
-def claims_2_12(found: Fixed) -> Claims:
-    """A few absolute observations take the correlation away."""
+def _claims_2_12(found: Fixed) -> Claims:
     text = (
         f"{len(found.fix_s)} positions reduce the map's correlation rapidly (mean coefficient, "
         "after over before)"
@@ -331,8 +326,7 @@ def claims_2_12(found: Fixed) -> Claims:
     yield at_most(text, found.after.mean_correlation / found.before.mean_correlation, 0.5, own=True)
 
 
-def claims_3_4(found: Drives[LoopDrive]) -> Claims:
-    """What is close is correlated, equally uncertain, and corrected alike."""
+def _claims_3_4(found: Drives[LoopDrive]) -> Claims:
     near_rho, far_rho, near_sigma, far_sigma, near_move, moved = [], [], [], [], [], []
     for d in found.each:
         m = d.before
@@ -372,17 +366,15 @@ def _moment(
     plan(axis, title, legend=legend)
 
 
-def draw_2_8(canvas: Canvas, found: Drives[LoopDrive]) -> None:
-    """Before and after the closing."""
+def _draw_2_8(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     d, axes = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     title = f"before the loop closes, {d.before.time_s:.1f} s"
     _moment(axes[0], d, d.before, title, legend="center")
     _moment(axes[1], d, d.after, f"after, {d.after.time_s:.1f} s")
 
 
-def draw_2_9(canvas: Canvas, found: Drives[LoopDrive]) -> None:
-    """The same, where the map is farthest from the start."""
-    draw_2_8(canvas, found)
+def _draw_2_9(canvas: Canvas, found: Drives[LoopDrive]) -> None:
+    _draw_2_8(canvas, found)
     d = found.each[0]
     canvas.axes[0].legend(fontsize=8, loc="lower right")
     west, north = d.true_path[:, 0].min(), d.true_path[:, 1].max()
@@ -390,8 +382,7 @@ def draw_2_9(canvas: Canvas, found: Drives[LoopDrive]) -> None:
         axis.set(xlim=(west - 10.0, west + 35.0), ylim=(north - 35.0, north + 10.0))
 
 
-def draw_2_10(canvas: Canvas, found: Drives[LoopDrive]) -> None:
-    """Errors of the pose between their bounds, and one landmark's deviations."""
+def _draw_2_10(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     d = found.each[0]
     axes = canvas.subplots(2, 2).ravel()
     names = (("east", "m", 1.0), ("north", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
@@ -406,8 +397,7 @@ def draw_2_10(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     chart(axes[3], "deviation of the first landmark", "time [s]", "sigma [m]")
 
 
-def draw_2_11(canvas: Canvas, found: Drives[LoopDrive]) -> None:
-    """Four normalised covariance matrices."""
+def _draw_2_11(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     d = found.each[0]
     titles = ("a quarter of the loop", "before the closing", "after it", "after three loops")
     moments = (d.quarter, d.before, d.after, d.end)
@@ -416,8 +406,7 @@ def draw_2_11(canvas: Canvas, found: Drives[LoopDrive]) -> None:
         axis.set_title(f"{title}: mean {m.mean_correlation:.2f}", fontsize=10)
 
 
-def draw_2_12(canvas: Canvas, found: Fixed) -> None:
-    """The matrix without and with positions, and how it went."""
+def _draw_2_12(canvas: Canvas, found: Fixed) -> None:
     axes = canvas.subplots(1, 3)
     for axis, m, title in zip(axes, (found.before, found.after), ("before", "after"), strict=False):
         draw_correlation(axis, m.coefficients)
@@ -428,8 +417,7 @@ def draw_2_12(canvas: Canvas, found: Fixed) -> None:
     chart(axes[2], "positions (dotted)", "time [s]", "mean coefficient", legend=None)
 
 
-def draw_3_4(canvas: Canvas, found: Drives[LoopDrive]) -> None:
-    """Ellipses before the closing, and where it takes the landmarks."""
+def _draw_3_4(canvas: Canvas, found: Drives[LoopDrive]) -> None:
     d, axes = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     _moment(axes[0], d, d.before, "neighbours are alike in their uncertainty", legend="center")
     _moment(axes[1], d, d.after, f"and in how the closing moves them ({_LONGER:g} times)")
@@ -443,36 +431,36 @@ FIGURES = (
         name="N2.8", title="Feature SLAM before and after a loop closes",
         says="On a loop of 255 m the estimate drifts, most at the far side, and closing the loop "
         "corrects the map.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_8, claims=claims_2_8, size=(11.0, 5.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_8, claims=_claims_2_8, size=(11.0, 5.0),
     ),
     Figure(
         name="N2.9", title="The far corner of the same map",
         says="The landmarks' errors lie within their 3-sigma ellipses, and errors and ellipses "
         "shrink when the loop closes.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_9, claims=claims_2_9, size=(11.0, 5.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_9, claims=_claims_2_9, size=(11.0, 5.0),
     ),
     Figure(
         name="N2.10", title="Errors and stated deviations along the drive",
         says="The filter's stated deviations fit its actual errors, and a landmark's uncertainty "
         "falls with every observation of the map.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_10, claims=claims_2_10, size=(11.0, 7.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_10, claims=_claims_2_10, size=(11.0, 7.0),
     ),
     Figure(
         name="N2.11", title="Correlation of the map as it is explored and closed",
         says="The map becomes more correlated when the loop closes, and more still on further "
         "loops.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_11, claims=claims_2_11, size=(8.0, 8.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_11, claims=_claims_2_11, size=(8.0, 8.0),
     ),
     Figure(
         name="N2.12", title="Correlation after a few absolute observations",
         says="A few absolute observations of the vehicle take the correlation out of the map "
         "rapidly.",
-        experiment=FIXED_EXPERIMENT, draw=draw_2_12, claims=claims_2_12, size=(12.0, 4.2),
+        experiment=FIXED_EXPERIMENT, draw=_draw_2_12, claims=_claims_2_12, size=(12.0, 4.2),
     ),
     Figure(
         name="N3.4", title="Close landmarks have close errors",
         says="Landmarks that are close to each other are highly correlated, about equally "
         "uncertain, and moved alike when the loop closes.",
-        experiment=LOOP_EXPERIMENT, draw=draw_3_4, claims=claims_3_4, size=(11.0, 5.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_3_4, claims=_claims_3_4, size=(11.0, 5.0),
     ),
 )  # fmt: skip

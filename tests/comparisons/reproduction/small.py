@@ -27,7 +27,6 @@ from comparisons.experiments.reproduction import (
     nieto_scan_slam,
     nieto_scans,
     nieto_slam,
-    update_split,
 )
 from comparisons.experiments.reproduction.drives import Drives
 from comparisons.experiments.reproduction.interface import Sources
@@ -72,13 +71,13 @@ def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round
     )
 
 
-def splits() -> Drives[update_split.SplitLog]:
+def splits() -> Drives[guivant.SplitLog]:
     """Each finer splitting is a little better."""
     runs = {
-        name: update_split.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k)
-        for k, name in enumerate(update_split.SPLITS)
+        name: guivant.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k)
+        for k, name in enumerate(guivant.SPLITS)
     }
-    each = tuple(update_split.SplitLog(name, runs) for name in ("a loop", "another"))
+    each = tuple(guivant.SplitLog(name, runs) for name in ("a loop", "another"))
     return Drives("made up", each)
 
 
@@ -94,7 +93,7 @@ def final_map() -> nieto_fastslam.FinalMap:
 def clouds() -> nieto_fastslam.Clouds:
     """Of a simulated drive with positions; what is claimed of Victoria Park is made up."""
     log = simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
-    found = nieto_fastslam.clouds_of(log, (5, 20))
+    found = nieto_fastslam.clouds(log, (5, 20))
     most = found.runs[-1]
     trees = np.resize(most.landmark, (nieto_fastslam.TREES, 2))
     right = replace(most, median_m=1.5, landmark=trees, distinct=np.full_like(most.distinct, 2))
@@ -234,7 +233,7 @@ def next_path() -> nieto_next_path.NextPath:
 def car_park() -> nieto_car_park.CarPark:
     if not SHARED.is_dir():
         pytest.skip("the real logs (../shared/data) are not on this machine")
-    return nieto_car_park.car_park(Sources(SHARED))
+    return nieto_car_park.car_park(Sources(SHARED).log(nieto_car_park.FOLDER))
 
 
 def car_park_scans() -> nieto_car_park_scans.CarParkScans:
@@ -242,7 +241,7 @@ def car_park_scans() -> nieto_car_park_scans.CarParkScans:
     if not SHARED.is_dir():
         pytest.skip("the real logs (../shared/data) are not on this machine")
     log = Sources(SHARED).log(nieto_car_park.FOLDER)
-    return nieto_car_park_scans.of_log(first_seconds(log, 25.0))
+    return nieto_car_park_scans.car_park_scans(first_seconds(log, 25.0))
 
 
 SMALL: dict[str, Callable[[], Any]] = {

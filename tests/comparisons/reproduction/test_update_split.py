@@ -5,7 +5,7 @@ import pytest
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.experiments.reproduction.update_split import ONE, SPLITS, runs
+from comparisons.experiments.reproduction.guivant import ONE, SPLITS, runs
 from comparisons.jobs.run import compare
 from comparisons.settings import configure
 from ekf_reference.core.landmark_types import POINT
