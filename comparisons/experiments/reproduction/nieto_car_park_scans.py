@@ -41,7 +41,6 @@ from comparisons.experiments.reproduction.nieto_scan_slam import (
     scan_map,
 )
 from comparisons.extensions.dense_maps.figure import draw_cloud
-from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
 from comparisons.jobs.run import run_filter
@@ -160,17 +159,13 @@ def _scan_slam(
     if source is None or run.breakdown is not None:
         raise InputError(f"{log.name}: {run.breakdown or 'no scan was looked at'}")
     estimate = run.estimate
-    landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
-    true = reference.at(estimate.time_s[run.pose_landmarks.pose])
-    covariance = place_covariances(estimate)
-    first = first_measurements(run)[landmark_indices]
+    held = scan_map(source.found, run, reference)
+    first = first_measurements(run)[held.landmark_index]
     return CarParkRun(
         templates=in_words(template_rule(source.options)),
         path=estimate.pose[:, :2],
         path_gps=off_gps(log, estimate.time_s, estimate.pose),
-        held=scan_map(
-            source.found, run, true, landmark_indices, estimate.pose_landmarks, covariance
-        ),
+        held=held,
         first_s=estimate.time_s[run.pose_landmarks.pose[first]],
         aligned=_aligned(run, scans, source),
     )
@@ -189,10 +184,8 @@ def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Alig
 
 def _claims_5_10(found: CarParkScans) -> Claims:
     count = len(found.published.held.landmark_index)
-    thesis, ours, feature = (
-        float(np.median(away))
-        for away in (found.published.path_gps, found.joined.path_gps, found.feature_gps)
-    )
+    away = found.published.path_gps, found.joined.path_gps, found.feature_gps
+    thesis, ours, feature = map(median, away)
     why = elsewhere(
         f"{OTHER_PART}: from GPS {thesis:.2f} m, joined {ours:.2f} m, feature SLAM {feature:.2f} m"
     )

@@ -59,7 +59,6 @@ from comparisons.statistics import mean_band
 from ekf_reference.core.trace import Trace
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
-from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.sensor_model import log_odds
@@ -92,11 +91,6 @@ class ClosedMap:
     def error_before(self, layer: str) -> SurfaceError:
         """Of a layer, before the closing."""
         return surface_error(self.before.layers[layer], self.segment)
-
-    @property
-    def ellipses(self) -> Ellipses:
-        """Of the sum of Gaussians."""
-        return ellipses_of(self.mapping)
 
     def thirds(self, east: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which of (N,) lie in the left and in the right third of the true path."""
@@ -742,7 +736,7 @@ def _draw_4_10(canvas: Canvas, found: Rounds) -> None:
 
 def _draw_4_12(canvas: Canvas, maps: Maps) -> None:
     m, axis = maps.closed[0], canvas.add_subplot()
-    held = m.ellipses
+    held = ellipses_of(m.mapping)
     draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 12), SMOOTHER_COLOUR, width=0.3)
     draw_surfaces(axis, m.segment)
     axis.autoscale_view()
