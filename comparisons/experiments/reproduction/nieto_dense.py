@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -342,14 +342,7 @@ THIN_M = 0.5
 _OBJECT, _BESIDE_M, _STEP_M = 0, 1.0, 0.1
 
 
-class _Twice(Protocol):
-    """What an experiment leaves, with the same by the thesis' settings."""
-
-    @property
-    def literal(self) -> _Twice | None: ...
-
-
-D = TypeVar("D", bound=_Twice)
+D = TypeVar("D", Maps, Rounds, Coarsened)
 
 
 def _also_literally(
@@ -363,7 +356,7 @@ def _also_literally(
             yield from claims(found)
             if found.literal is None:
                 return
-            for number, claim in enumerate(claims(found.literal)):  # type: ignore[arg-type]
+            for number, claim in enumerate(claims(found.literal)):
                 again = replace(claim, text=LITERALLY + claim.text)
                 yield again.explained(why[number]) if number in why else again
 

@@ -195,10 +195,10 @@ def high_level_drives(sources: Sources) -> Drives[HighLevelDrive]:
     experiment, drives = enclosed(occupancy(LOOPS)), sources.drives
     logs = (simulate(np.random.default_rng(seed), experiment) for seed in range(drives))
     reported = f"{experiment.name} --loops {LOOPS} with {MORE}, {drives} drives from seed 0"
-    return Drives(reported, tuple(of_log(log, EVERY_S) for log in logs))
+    return Drives(reported, tuple(of_log(log) for log in logs))
 
 
-def of_log(log: Log, every_s: float) -> HighLevelDrive:
+def of_log(log: Log) -> HighLevelDrive:
     """A log with scans and truth, driven with high level landmarks and without."""
     (poses, segment), loop_s = true_surroundings(log), occupancy().drive.loop_s
     searches = list[Searched]()
@@ -206,7 +206,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
     def searched(time_s: float, around: Around, found: Search) -> None:
         searches.append(Searched.of(time_s, around, found))
 
-    source = HighLevelSource(log, HighLevelOptions(every_s=every_s), searched=searched)
+    source = HighLevelSource(log, HighLevelOptions(every_s=EVERY_S), searched=searched)
     choices, timeline = settle(EkfConfig(), log), build_timeline(log)
     without = run_ekf(log, timeline, choices)
     run = run_ekf(log, timeline, choices, setup=FilterSetup(source=source))

@@ -131,8 +131,7 @@ def of_logs(logs: list[Log], reported: str) -> ScanMaps:
     """The same of any drives with truth. Raises InputError."""
     each = tuple(_mapped(log) for log in logs)
     cases = [case for one in each for case in cases_of(one)]
-    held = basin(cases, ERRORS_M, _DRAWS, np.random.default_rng(0))
-    return ScanMaps(reported, each, held, _shown(each[0]))
+    return ScanMaps(reported, each, basin(cases, np.random.default_rng(0)), _shown(each[0]))
 
 
 def _mapped(log: Log) -> ScanMap:
@@ -353,30 +352,28 @@ class ConvergenceBasin:
     cases: int
 
 
-def _offsets(rng: np.random.Generator, error_m: float, draws: int) -> Array:
+def _offsets(rng: np.random.Generator, error_m: float) -> Array:
     """(D, 3) of so many metres any way, and turned with them either way."""
-    way = rng.uniform(0.0, 2.0 * np.pi, draws)
-    side = rng.choice((-1.0, 1.0), draws)
+    way = rng.uniform(0.0, 2.0 * np.pi, _DRAWS)
+    side = rng.choice((-1.0, 1.0), _DRAWS)
     return error_m * np.column_stack((np.cos(way), np.sin(way), side * TURN))
 
 
-def basin(
-    cases: Sequence[Seen], errors: Sequence[float], draws: int, rng: np.random.Generator
-) -> ConvergenceBasin:
-    """All cases from `draws` starts per initial error [m]."""
-    converged, wrong = np.zeros((2, len(errors), 2))
-    for row, error in enumerate(errors):
+def basin(cases: Sequence[Seen], rng: np.random.Generator) -> ConvergenceBasin:
+    """All cases from some starts per initial error."""
+    converged, wrong = np.zeros((2, len(ERRORS_M), 2))
+    for row, error in enumerate(ERRORS_M):
         for case in cases:
             shapes = case.template.shape, enriched(case.template, case.around)
-            for off in _offsets(rng, error, draws):
+            for off in _offsets(rng, error):
                 for column, shape in enumerate(shapes):
                     found = align(shape, case.scan, case.true + off, _ONE_START)
                     converged[row, column] += _is_close(found.pose, case.true)
                 for column, what in enumerate(_searched(case, off, error)):
                     if what.usable and what.alignment is not None:
                         wrong[row, column] += not _is_close(what.alignment.pose, case.true)
-    tried = max(draws * len(cases), 1)
-    return ConvergenceBasin(np.array(errors), converged / tried, wrong / tried, len(cases))
+    tried = max(_DRAWS * len(cases), 1)
+    return ConvergenceBasin(np.array(ERRORS_M), converged / tried, wrong / tried, len(cases))
 
 
 def _searched(case: Seen, off: Array, error_m: float) -> tuple[Observation, Observation]:

@@ -99,9 +99,13 @@ class ScanMap:
 
     def at(self, rows: NDArray[np.bool_]) -> ScanMap:
         """Some of them (Q,)."""
-        each = (self.landmark_index, self.place, self.covariance, self.true)
-        points = tuple(p for p, chosen in zip(self.points, rows, strict=True) if chosen)
-        return ScanMap(*(column[rows] for column in each), points)
+        return ScanMap(
+            self.landmark_index[rows],
+            self.place[rows],
+            self.covariance[rows],
+            self.true[rows],
+            tuple(p for p, chosen in zip(self.points, rows, strict=True) if chosen),
+        )
 
     @property
     def left_top(self) -> ScanMap:

@@ -203,7 +203,7 @@ def scan_drives() -> nieto_scan_slam.ScanDrives:
 
 def high_level_drives() -> Drives[nieto_high_level.HighLevelDrive]:
     log = open_log("occupancy-loop", choices=SimulationChoices(1, 2))
-    drive = nieto_high_level.of_log(first_seconds(log, 100.0), 60.0)
+    drive = nieto_high_level.of_log(first_seconds(log, 100.0))
     return Drives("the beginning of a drive", (drive,))
 
 
