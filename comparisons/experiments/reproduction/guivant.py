@@ -256,14 +256,12 @@ def _claims_9(found: Aided) -> Claims:
     yield at_least(text, found.surprise_m / found.sigma_fix_m, 3.0, why=why, own=True)
     text = "it is taken in by updates small enough for their Jacobians (largest move by one)"
     yield at_most(text, moves.max(), PositionFixes().splitter.largest_move_m, "m")
-    yield at_most(
+    why = elsewhere(f"the first difference is {found.surprise_m:.2f} m alone")
+    text = (
         f"the sequence of updates brings both together (median distance of the last {_LAST} "
-        "positions over the first difference)",
-        np.median(off[-_LAST:]) / found.surprise_m,
-        0.5,
-        why=elsewhere(f"the first difference is {found.surprise_m:.2f} m alone"),
-        own=True,
+        "positions over the first difference)"
     )
+    yield at_most(text, np.median(off[-_LAST:]) / found.surprise_m, 0.5, why=why, own=True)
     if found.true is not None:
         error = np.linalg.norm(found.pose[:, :2] - found.true, axis=1)
         text = "and the vehicle to where it truly is (error at the end over that before GPS)"
@@ -388,13 +386,12 @@ def _claims_4_2(found: Drives[SplitLog]) -> Claims:
                 "gap over that of one update)"
             )
             yield at_most(text, run.gap / of_one.gap, 1.0, why=why)
-            yield at_least(
+            why = theirs(f"{run.optimism:.3f}, {of_one.optimism:.3f} in one update")
+            text = (
                 f"and is less optimistic: {one.name}, parts of {name} (least variance over the "
-                "smoother's, over that of one update)",
-                run.optimism / of_one.optimism,
-                1.0,
-                why=theirs(f"{run.optimism:.3f}, {of_one.optimism:.3f} in one update"),
+                "smoother's, over that of one update)"
             )
+            yield at_least(text, run.optimism / of_one.optimism, 1.0, why=why)
 
 
 def _draw_4_2(canvas: Canvas, found: Drives[SplitLog]) -> None:

@@ -412,13 +412,12 @@ def _claims_3_17(maps: Maps) -> Claims:
         "to the surfaces, after over before, median of drives)"
     )
     yield from _corrected(text, maps, "points")
-    yield at_least(
+    covered = sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies)
+    text = (
         "regions cover the area (share of the returns that found a region, at once or late, "
-        "all drives)",
-        sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies),
-        0.5,
-        own=True,
+        "all drives)"
     )
+    yield at_least(text, covered, 0.5, own=True)
 
 
 @_also_literally({})
@@ -556,14 +555,11 @@ def _claims_4_6(found: Coarsened) -> Claims:
     yield at_least("almost empty regions get cells of 0.5 m (number of them)", coarse, 1, why=why)
     text = "fewer cells are kept (over those of one size)"
     yield at_most(text, found.cells / found.cells_even if coarse else np.nan, 1.0, why=why)
-    yield at_most(
-        "the map stays as accurate (95 % of the distances to the surfaces, over that with one "
-        "size)",
-        found.error.p95_m / found.error_even.p95_m if coarse else np.nan,
-        1.05,
-        why=why,
-        own=True,
+    ratio = found.error.p95_m / found.error_even.p95_m if coarse else np.nan
+    text = (
+        "the map stays as accurate (95 % of the distances to the surfaces, over that with one size)"
     )
+    yield at_most(text, ratio, 1.05, why=why, own=True)
 
 
 @_also_literally({0: _TAILS, 1: _TAILS})

@@ -280,9 +280,8 @@ def _claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
     yield at_least(text, np.median(shown), CANDIDATES)
     yield at_least("at least one of them is accepted (the same)", np.median(taken), FIRST)
     text = "and two are rejected for too few Gaussians (the same)"
-    yield at_least(
-        text, np.median([n - k for n, k in zip(shown, taken, strict=True)]), CANDIDATES - FIRST
-    )
+    rejected = [n - k for n, k in zip(shown, taken, strict=True)]
+    yield at_least(text, np.median(rejected), CANDIDATES - FIRST)
     text = "once the loop is closed four more have been detected (the same)"
     yield at_least(text, np.median(later), LATER)
     why = ours(
@@ -309,13 +308,12 @@ def _claims_6_6(found: Drives[HighLevelDrive]) -> Claims:
         "surfaces, once the point landmarks are moved onto the true ones; median of all templates)"
     )
     yield at_most(text, np.median(off) if off else np.nan, 0.5, "m", own=True)
-    yield at_most(
+    why = elsewhere(f"few are seen again, among {landmarks} point landmarks")
+    text = (
         "the vehicle is no farther from the truth with them (RMS position error after the "
-        "first loop, over that without, mean of the drives)",
-        np.mean(ratio),
-        1.0,
-        why=elsewhere(f"few are seen again, among {landmarks} point landmarks"),
+        "first loop, over that without, mean of the drives)"
     )
+    yield at_most(text, np.mean(ratio), 1.0, why=why)
     why = elsewhere(
         f"{landmarks} point landmarks are there as well, and fix the vehicle without them"
     )

@@ -286,25 +286,22 @@ _RAGGED = ours(
 def _claims_6_19(found: Drives[ParkedCars]) -> Claims:
     off = [off_cars(d.dynamic) for d in found.each]
     count = np.array([len(middles(d.dynamic)) for d in found.each])
-    yield at_least(
+    cars = min(int((away <= _BESIDE_M).any(axis=1).sum()) for away in off)
+    text = (
         f"every car that left is found (number with a dynamic cell up to {_BESIDE_M:g} m away, "
-        "fewest of the drives)",
-        min(int((away <= _BESIDE_M).any(axis=1).sum()) for away in off),
-        len(leaving_cars()),
+        "fewest of the drives)"
     )
+    yield at_least(text, cars, len(leaving_cars()))
     text = (
         "two areas are found, one of two cars side by side and one of the third (share of drives)"
     )
     yield at_least(text, np.mean(count == _AREAS), 1.0, why=_RAGGED)
-    yield at_most(
+    far = max(away.min(axis=0).max(initial=0.0) for away in off)
+    text = (
         "and none elsewhere (largest distance of a dynamic cell from a car that left, in all "
-        "drives)",
-        max(away.min(axis=0).max(initial=0.0) for away in off),
-        _BESIDE_M,
-        "m",
-        why=_RAGGED,
-        own=True,
+        "drives)"
     )
+    yield at_most(text, far, _BESIDE_M, "m", why=_RAGGED, own=True)
 
 
 def _claims_6_20(found: Drives[ParkedCars]) -> Claims:
@@ -316,15 +313,14 @@ def _claims_6_20(found: Drives[ParkedCars]) -> Claims:
     )
     yield at_least(text, np.mean(removed[left]), 1.0)
     text = "it is removed from the state vector (drives with one that was in it, share)"
-    yield at_least(
-        text, np.mean([(d.left & d.removed & d.in_state).any() for d in found.each]), 1.0
-    )
-    yield at_most(
+    share = np.mean([(d.left & d.removed & d.in_state).any() for d in found.each])
+    yield at_least(text, share, 1.0)
+    others = np.count_nonzero(removed & ~left) + sum(d.points_removed for d in found.each)
+    text = (
         "all others are kept (number of others that are removed, point landmarks among them, all "
-        "drives)",
-        np.count_nonzero(removed & ~left) + sum(d.points_removed for d in found.each),
-        0,
+        "drives)"
     )
+    yield at_most(text, others, 0)
 
 
 def _draw_cells(axis: Axes, one: ParkedCars, point: Array, colour: str, title: str) -> None:

@@ -347,19 +347,15 @@ def _claims_7_2_4(found: NextPath) -> Claims:
         "spread of the paths)"
     )
     yield at_most(text, np.abs(ours.gain - theirs.gain).max() / spread, _AGREED, own=True)
-    yield at_most(
+    less = theirs.gain.max() - theirs.gain[ours.gain.argmax()]
+    text = (
         "and choose alike (what the smoother would gain less by the filter's choice than by its "
-        "own, over the spread)",
-        (theirs.gain.max() - theirs.gain[ours.gain.argmax()]) / spread,
-        _AGREED,
-        own=True,
+        "own, over the spread)"
     )
-    yield at_most(
-        "by the trace, too (what the filter's choice would leave more, over the spread)",
-        (theirs.trace_m2[ours.trace_m2.argmin()] - theirs.trace_m2.min()) / np.ptp(theirs.trace_m2),
-        _AGREED,
-        own=True,
-    )
+    yield at_most(text, less / spread, _AGREED, own=True)
+    more = theirs.trace_m2[ours.trace_m2.argmin()] - theirs.trace_m2.min()
+    text = "by the trace, too (what the filter's choice would leave more, over the spread)"
+    yield at_most(text, more / np.ptp(theirs.trace_m2), _AGREED, own=True)
     text = "no path over the dense map crosses a true surface (crossings)"
     yield at_most(text, sum(crossings(way, found.segment) for way in found.way), 0.0)
     text = "which straight ways to the same ends do (crossings)"
