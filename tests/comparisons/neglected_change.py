@@ -13,7 +13,7 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
+from comparisons.experiments.reproduction.drives import truth_in_order, watched_run
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT

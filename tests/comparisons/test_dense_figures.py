@@ -1,25 +1,25 @@
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from comparisons.experiments.reproduction.nieto_regions import (
-    DecorrelationExample,
+    Examples,
     decorrelation_example,
-    draw_displacement,
-    draw_example_3_1,
-    draw_example_3_2,
+    draw_3_5,
+    draw_3_12,
 )
 from comparisons.report.picture import blank, save
+from ekf_reference.dense.decorrelation import Displacements
 from tests.helpers import present, simulated
 
 
 @cache
-def example() -> DecorrelationExample:
-    return decorrelation_example(simulated(2, extra_s=10.0))
+def examples() -> Examples:
+    return Examples("a drive", (decorrelation_example(simulated(2, extra_s=10.0)),), (0.0,))
 
 
 def legend(axis: Axes) -> set[str]:
@@ -29,9 +29,9 @@ def legend(axis: Axes) -> set[str]:
 
 @pytest.mark.slow
 def test_the_decorrelation_is_drawn_as_in_fig_3_5(tmp_path: Path) -> None:
-    shown = example()
+    shown = examples().each[0]
     figure = blank(9.0, 7.5)
-    draw_example_3_1(figure, shown)
+    draw_3_5(figure, examples())
     region, base, decorrelation, sigma = figure.axes
     assert legend(region) == {"landmarks", "point $i$ in its region", "to landmark $j$"}
     assert legend(base) == {"L1", "L2", "L3"}
@@ -44,9 +44,8 @@ def test_the_decorrelation_is_drawn_as_in_fig_3_5(tmp_path: Path) -> None:
 
 
 def test_the_change_of_place_is_drawn_as_in_fig_3_12(tmp_path: Path) -> None:
-    shown = example()
     figure = blank(9.0, 4.2)
-    draw_example_3_2(figure, shown)
+    draw_3_12(figure, examples())
     change, wandering = figure.axes
     assert legend(change) == {"in the world", "in its region"}
     assert legend(wandering) == {"estimates", "the first", "truth"}
@@ -55,10 +54,13 @@ def test_the_change_of_place_is_drawn_as_in_fig_3_12(tmp_path: Path) -> None:
 
 
 def test_what_is_drawn_is_what_is_given() -> None:
-    axis = Figure().add_subplot()
-    time, world, local = np.arange(3.0), np.array([0.0, 0.3, 0.5]), np.array([0.0, 0.1, 0.05])
-    draw_displacement(axis, time, world, local)
-    assert [np.asarray(line.get_ydata()).tolist() for line in axis.get_lines()] == [
+    sound, figure = examples(), blank(9.0, 4.2)
+    world, local = np.array([0.0, 0.3, 0.5]), np.array([0.0, 0.1, 0.05])
+    moved = Displacements(world, local)
+    one = replace(sound.each[0], time_s=np.arange(3.0), moved=moved)
+    draw_3_12(figure, replace(sound, each=(one,)))
+    lines = figure.axes[0].get_lines()
+    assert [np.asarray(line.get_ydata()).tolist() for line in lines] == [
         world.tolist(),
         local.tolist(),
     ]

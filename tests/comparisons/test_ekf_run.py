@@ -9,7 +9,7 @@ from comparisons.adapters.filter_loop import FilterObservers, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
-from comparisons.experiments.reproduction.watched_run import watched_run
+from comparisons.experiments.reproduction.drives import watched_run
 from comparisons.jobs.run import Comparison, Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace

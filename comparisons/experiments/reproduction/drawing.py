@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
@@ -48,12 +49,20 @@ def draw_lines(
     label: str = "",
     width: float | None = None,
     order: int = 2,
+    style: str = "solid",
 ) -> None:
     """Lines through points (L, P, 2) each, such as outlines of ellipses; width: as usual."""
-    lines = LineCollection(list(line), colors=colour, linewidths=width, zorder=order)
+    lines = LineCollection(
+        list(line), colors=colour, linewidths=width, zorder=order, linestyles=style
+    )
     if label:
         lines.set_label(label)
     axis.add_collection(lines)
+
+
+def closed(outline: Array) -> Array:
+    """(N, P + 1, 2) polygons (N, P, 2), each with its first corner once more."""
+    return np.concatenate((outline, outline[:, :1]), axis=1)
 
 
 def draw_slam(

@@ -10,7 +10,8 @@ from pydantic import TypeAdapter
 from rich.console import Console
 
 from comparisons.atomic import fresh_folder
-from comparisons.experiments.reproduction.interface import Claim, FigureResult, ReproductionResult
+from comparisons.experiments.reproduction.claims import Claim
+from comparisons.experiments.reproduction.interface import FigureResult, ReproductionResult
 from comparisons.report.html.shell import document, picture, table
 
 CLAIMS = "claims.json"

@@ -1,12 +1,15 @@
-"""Guivant, Masson and Nebot 2002, section 5: SLAM that meets GPS, Figs. 7, 8 and 9.
+"""Guivant, Masson and Nebot 2002: SLAM that meets GPS (section 5), updates in parts (4.2).
 
-With Victoria Park's raw detections (--data) these run on it; without, Figs. 8 and 9 run on a
+With Victoria Park's raw detections (--data) Figs. 7 to 9 run on it; without, Figs. 8 and 9 run on a
 simulated loop of 220 s, long enough for the "200 s navigating with pure SLAM" of Fig. 9.
+"A gradual equivalent update will work better than a single large update": measured by the distance
+of the filter to the smoother that linearises anew, on simulated loops, on the Victoria Park log
+that comes with gtsam, and with --data on MR.CLAM.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,21 +22,14 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.config import EkfConfig
+from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere, theirs
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-)
-from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
-from comparisons.experiments.reproduction.watched_run import truth_in_order
+from comparisons.experiments.reproduction.drives import Drives, truth_in_order
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.jobs.run import compare
+from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.report.figures.style import draw_reference, draw_trajectory
@@ -130,7 +126,7 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
     for time_s, ekf, fused in _epochs(log, choices, positions, trace):
         time.append(time_s)
         pose.append(ekf.read_pose().pose)
-        sigma.append(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2])))
+        sigma.append(_sigma_m(ekf))
         maps.append(np.sqrt(np.diag(ekf.state.covariance)[3:].reshape(-1, 2).sum(axis=1)))
         if fused and first < 0:
             first = len(time) - 1
@@ -139,13 +135,8 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
     if first < 0:
         raise InputError(f"{log.name}: no position was accepted after {ALONE_S:.0f} s")
     none = positions.chosen(np.zeros(0, dtype=np.intp))
-    alone_s, alone = zip(
-        *(
-            (time_s, float(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2]))))
-            for time_s, ekf, _ in _epochs(log, choices, none, Trace())
-        ),
-        strict=True,
-    )
+    epochs = _epochs(log, choices, none, Trace())
+    alone_s, alone = np.array([(time_s, _sigma_m(ekf)) for time_s, ekf, _ in epochs]).T
     at = np.array(time)
     whole = np.full((len(at), WATCHED), np.nan)
     chosen = np.linspace(0, len(maps[first]) - 1, WATCHED + 2).astype(int)[:WATCHED]
@@ -166,6 +157,11 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
         parts=parts,
         true=None if log.truth.poses is None else log.truth.poses.at(at)[:, :2],
     )
+
+
+def _sigma_m(ekf: Ekf) -> float:
+    """Of the position, both axes together."""
+    return float(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2])))
 
 
 def _epochs(
@@ -193,7 +189,7 @@ def covered(sources: Sources) -> Covered:
         raise InputError(f"{log.name}: holds no positions")
     run = run_ekf(log, build_timeline(log, positions), choices, positions)
     time, path = run.estimate.time_s, run.estimate.pose[:, :2]
-    apart = np.abs(time - nearest(positions.time_s, time))
+    apart = cKDTree(positions.time_s[:, None]).query(time[:, None])[0]
     trees = cKDTree(run.estimate.landmark)
     return Covered(
         f"{log.name}, --gps on, --filter compressed",
@@ -202,14 +198,6 @@ def covered(sources: Sources) -> Covered:
         apart <= _GAP_S,
         trees.query_ball_point(path, NEAR_M, return_length=True).astype(np.int64),
     )
-
-
-def nearest(values: Array, at: Array) -> Array:
-    """(N,) of ascending values (G,), the nearest to each of (N,)."""
-    after = np.clip(np.searchsorted(values, at), 1, len(values) - 1)
-    low, high = values[after - 1], values[after]
-    result: Array = np.where(at - low <= high - at, low, high)
-    return result
 
 
 AIDED = Experiment("Guivant's Figs. 8 and 9", aided)
@@ -221,98 +209,66 @@ _COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)
 _LAST = 5
 
 
-def claims_7(found: Covered) -> Claims:
-    """GPS fails where trees stand."""
-    yield at_least(
+def _claims_7(found: Covered) -> Claims:
+    text = (
         f"GPS is missing where trees are dense (mean number within {NEAR_M:.0f} m where it is "
-        "missing, over where it is not)",
-        found.around[~found.heard].mean() / found.around[found.heard].mean(),
-        1.0,
+        "missing, over where it is not)"
     )
-    yield at_least(
-        "it is missing on a good part of the way (share of the epochs)",
-        np.mean(~found.heard),
-        0.1,
-        own=True,
-    )
+    yield at_least(text, found.around[~found.heard].mean() / found.around[found.heard].mean(), 1.0)
+    text = "it is missing on a good part of the way (share of the epochs)"
+    yield at_least(text, np.mean(~found.heard), 0.1, own=True)
 
 
-def claims_8(found: Aided) -> Claims:
-    """Deviations grow while exploring, and fall on revisiting and by GPS."""
+def _claims_8(found: Aided) -> Claims:
     first, sigma, alone = found.first, found.sigma_m, found.alone_sigma_m
     passed_s = found.time_s[-1] - found.time_s[first]
     early = int(np.searchsorted(found.time_s, found.time_s[0] + _EARLY_S))
     peak = int(np.argmax(alone))
     landmarks = np.square(found.landmark_sigma_m[-1] / found.landmark_sigma_m[first - 1])
-    yield at_least(
+    text = (
         f"the vehicle's deviation grows while exploring (median before GPS over that after "
-        f"{_EARLY_S:.0f} s)",
-        np.median(sigma[early:first]) / sigma[early],
-        1.0,
+        f"{_EARLY_S:.0f} s)"
     )
-    yield at_most(
-        "it falls on revisiting a known place (without GPS: least after its peak over the peak)",
-        alone[peak:].min() / alone[peak],
-        0.9,
-        own=True,
-    )
-    yield at_most(
+    yield at_least(text, np.median(sigma[early:first]) / sigma[early], 1.0)
+    text = "it falls on revisiting a known place (without GPS: least after its peak over the peak)"
+    yield at_most(text, alone[peak:].min() / alone[peak], 0.9, own=True)
+    why = elsewhere("one position of this GPS weighs little against what SLAM knows of itself")
+    text = (
         "GPS reduces the vehicle's covariance significantly (variance after the first position "
-        "over that before)",
-        np.square(sigma[first] / sigma[first - 1]),
-        0.5,
-        why=elsewhere("one position of this GPS weighs little against what SLAM knows of itself"),
-        own=True,
+        "over that before)"
     )
-    yield at_most(
+    yield at_most(text, np.square(sigma[first] / sigma[first - 1]), 0.5, why=why, own=True)
+    text = (
         f"and the landmarks' within {passed_s:.0f} s (median of those shown, variance "
-        "after over before)",
-        np.median(landmarks),
-        0.5,
-        own=True,
+        "after over before)"
     )
+    yield at_most(text, np.median(landmarks), 0.5, own=True)
 
 
-def claims_9(found: Aided) -> Claims:
-    """GPS comes as a surprise and is taken in step by step."""
+def _claims_9(found: Aided) -> Claims:
     moves = np.linalg.norm(np.diff(found.parts, axis=0), axis=1)
     off = found.off_fix_m()
-    yield at_least(
-        "when GPS arrives it differs significantly from SLAM (first difference over GPS sigma)",
-        found.surprise_m / found.sigma_fix_m,
-        3.0,
-        why=elsewhere(
-            f"SLAM is {found.surprise_m:.2f} m off then, and a position has a sigma of "
-            f"{found.sigma_fix_m:.1f} m"
-        ),
-        own=True,
+    why = elsewhere(
+        f"SLAM is {found.surprise_m:.2f} m off then, and a position has a sigma of "
+        f"{found.sigma_fix_m:.1f} m"
     )
-    yield at_most(
-        "it is taken in by updates small enough for their Jacobians (largest move by one)",
-        moves.max(),
-        PositionFixes().splitter.largest_move_m,
-        "m",
-    )
-    yield at_most(
+    text = "when GPS arrives it differs significantly from SLAM (first difference over GPS sigma)"
+    yield at_least(text, found.surprise_m / found.sigma_fix_m, 3.0, why=why, own=True)
+    text = "it is taken in by updates small enough for their Jacobians (largest move by one)"
+    yield at_most(text, moves.max(), PositionFixes().splitter.largest_move_m, "m")
+    why = elsewhere(f"the first difference is {found.surprise_m:.2f} m alone")
+    text = (
         f"the sequence of updates brings both together (median distance of the last {_LAST} "
-        "positions over the first difference)",
-        np.median(off[-_LAST:]) / found.surprise_m,
-        0.5,
-        why=elsewhere(f"the first difference is {found.surprise_m:.2f} m alone"),
-        own=True,
+        "positions over the first difference)"
     )
+    yield at_most(text, np.median(off[-_LAST:]) / found.surprise_m, 0.5, why=why, own=True)
     if found.true is not None:
         error = np.linalg.norm(found.pose[:, :2] - found.true, axis=1)
-        yield at_most(
-            "and the vehicle to where it truly is (error at the end over that before GPS)",
-            error[-1] / error[found.first - 1],
-            0.5,
-            own=True,
-        )
+        text = "and the vehicle to where it truly is (error at the end over that before GPS)"
+        yield at_most(text, error[-1] / error[found.first - 1], 0.5, own=True)
 
 
-def draw_7(canvas: Canvas, found: Covered) -> None:
-    """The path, thick where GPS reports, among trees."""
+def _draw_7(canvas: Canvas, found: Covered) -> None:
     axis = canvas.add_subplot()
     draw_trajectory(axis, found.path, SMOOTHER_COLOUR, "estimated path")
     heard = np.where(found.heard[:, None], found.path, np.nan)
@@ -321,8 +277,7 @@ def draw_7(canvas: Canvas, found: Covered) -> None:
     plan(axis, "GPS and trees", legend="best")
 
 
-def draw_8(canvas: Canvas, found: Aided) -> None:
-    """Deviations of the vehicle and of some landmarks."""
+def _draw_8(canvas: Canvas, found: Aided) -> None:
     left, right = canvas.subplots(1, 2)
     left.plot(found.time_s, found.alone_sigma_m, "--", color="#999999", label="without GPS")
     left.plot(found.time_s, found.sigma_m, "-", color=EKF_COLOUR, label="vehicle")
@@ -335,8 +290,7 @@ def draw_8(canvas: Canvas, found: Aided) -> None:
         axis.set_ylim(bottom=0.0)
 
 
-def draw_9(canvas: Canvas, found: Aided) -> None:
-    """The way around the first position."""
+def _draw_9(canvas: Canvas, found: Aided) -> None:
     left, right = canvas.subplots(1, 2)
     near = slice(max(found.first - 60, 0), None)
     for axis, rows in ((left, slice(None)), (right, near)):
@@ -349,29 +303,137 @@ def draw_9(canvas: Canvas, found: Aided) -> None:
     plan(right, "where GPS begins", legend="best")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+MRCLAM = "mrclam"
+ONE = "one update"
+SPLITS: Mapping[str, Mapping[str, float]] = {
+    ONE: {},
+    "1 degree, 1 m": {"split_turn_rad": float(np.deg2rad(1.0)), "split_move_m": 1.0},
+    "0.1 degree, 0.05 m": {"split_turn_rad": float(np.deg2rad(0.1)), "split_move_m": 0.05},
+    "half of a variance": {"split_shrink": 0.5},
+}
+NOISY = 3.0
+"""Factor on the noise of the second kind of simulated loops, which close with larger errors."""
+_SPLIT_COLOURS = (TRUTH_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitRun:
+    """A filter with one splitting of its updates. gap: linearisation gap [smoother's sigma].
+
+    optimism: its variance over the smoother's in the worst direction.
+    """
+
+    gap: float
+    optimism: float
+
+
+@dataclass(frozen=True)
+class SplitLog:
+    """Medians over one or more drives, by splitting."""
+
+    name: str
+    runs: Mapping[str, SplitRun]
+
+
+def split(sources: Sources) -> Drives[SplitLog]:
+    """Run every splitting on every log."""
+    found = tuple(_median(name, [runs(log) for log in logs]) for name, logs in _logs(sources))
+    return Drives("; ".join(one.name for one in found), found)
+
+
+def _logs(sources: Sources) -> Iterator[tuple[str, list[Log]]]:
+    for name, scale in (("simulated loops", 1.0), (f"loops of {NOISY:g} times the noise", NOISY)):
+        drives = [
+            open_log("simulated-loop", choices=SimulationChoices(seed, noise_scale=scale))
+            for seed in range(sources.drives)
+        ]
+        yield f"{name} ({sources.drives})", drives
+    yield "Victoria Park (gtsam)", [open_log("victoria-park")]
+    folder = sources.folder(MRCLAM)
+    for path in () if folder is None else sorted(folder.glob("MRCLAM_Dataset*")):
+        yield path.name.replace("MRCLAM_Dataset", "MR.CLAM "), [open_log(str(path))]
+
+
+def runs(log: Log) -> dict[str, SplitRun]:
+    """Run every splitting on one log."""
+    found: dict[str, SplitRun] = {}
+    for name, bounds in SPLITS.items():
+        said = compare(log, RunConfig(ekf=EkfConfig.of(**bounds))).agreement
+        found[name] = SplitRun(gap=said.linearisation.sigma, optimism=said.optimism)
+    return found
+
+
+def _median(name: str, drives: list[dict[str, SplitRun]]) -> SplitLog:
+    runs = {}
+    for split in SPLITS:
+        each = [(drive[split].gap, drive[split].optimism) for drive in drives]
+        gap, optimism = np.median(each, axis=0).tolist()
+        runs[split] = SplitRun(gap=gap, optimism=optimism)
+    return SplitLog(name, runs)
+
+
+def _claims_4_2(found: Drives[SplitLog]) -> Claims:
+    for one in found.each:
+        whole, *finer = one.runs.items()
+        of_one = whole[1]
+        for name, run in finer:
+            why = theirs(
+                f"{run.gap:.2f} sigma, {of_one.gap:.2f} in one update: a part linearises the "
+                "new measurement anew, what went before stays as it was"
+            )
+            text = (
+                f"a gradual update works better: {one.name}, parts of {name} (linearisation "
+                "gap over that of one update)"
+            )
+            yield at_most(text, run.gap / of_one.gap, 1.0, why=why)
+            why = theirs(f"{run.optimism:.3f}, {of_one.optimism:.3f} in one update")
+            text = (
+                f"and is less optimistic: {one.name}, parts of {name} (least variance over the "
+                "smoother's, over that of one update)"
+            )
+            yield at_least(text, run.optimism / of_one.optimism, 1.0, why=why)
+
+
+def _draw_4_2(canvas: Canvas, found: Drives[SplitLog]) -> None:
+    axes = canvas.subplots(1, 2)
+    place = np.arange(len(found.each))
+    for number, (name, colour) in enumerate(zip(SPLITS, _SPLIT_COLOURS, strict=True)):
+        at = place + 0.2 * (number - 1.5)
+        for axis, field in zip(axes, ("gap", "optimism"), strict=True):
+            values = [getattr(one.runs[name], field) for one in found.each]
+            axis.bar(at, values, 0.18, color=colour, label=name)
+    for axis, title in zip(axes, ("linearisation gap [sigma]", "optimism (1: none)"), strict=True):
+        chart(axis, title, "", "")
+        axis.set_yscale("log")
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
+        axis.set_xticks(place, [one.name for one in found.each], fontsize=7, rotation=12)
+
+
+FIGURES = (
     Figure(
         name="G7", title="The path, the trees, and where GPS reports",
         says="GPS is unavailable where trees are dense and reliable in the open; dense trees are "
         "where SLAM has its landmarks.",
-        experiment=COVERED, draw=draw_7, claims=claims_7, size=(8.0, 6.5),
+        experiment=COVERED, draw=_draw_7, claims=_claims_7, size=(8.0, 6.5),
     ),
     Figure(
         name="G8", title="Deviations of vehicle and landmarks",
         says="The vehicle's deviation grows while it explores, falls when it revisits a known "
         "place, and falls significantly, as do the landmarks', when GPS is incorporated.",
-        experiment=AIDED, draw=draw_8, claims=claims_8, size=(11.0, 4.4),
+        experiment=AIDED, draw=_draw_8, claims=_claims_8, size=(11.0, 4.4),
     ),
     Figure(
         name="G9", title="GPS arrives after 200 s of SLAM alone",
         says="After 200 s of pure SLAM the first GPS positions differ significantly from the "
         "estimate; they are incorporated as a sequence of updates, and the filter stays sound.",
-        experiment=AIDED, draw=draw_9, claims=claims_9, size=(11.0, 4.8),
+        experiment=AIDED, draw=_draw_9, claims=_claims_9, size=(11.0, 4.8),
     ),
     Figure(
         name="G4.2", title="Updates made in parts",
         says="A sequence of weaker updates, each linearised anew, works better than one large "
         "update, as in closing a loop.",
-        experiment=SPLIT, draw=draw, claims=claims, size=(11.0, 4.8), place="section 4.2",
+        experiment=Experiment("Guivant's updates in parts", split), draw=_draw_4_2,
+        claims=_claims_4_2, size=(11.0, 4.8), place="section 4.2",
     ),
 )  # fmt: skip

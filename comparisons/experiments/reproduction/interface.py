@@ -1,25 +1,23 @@
-"""What a reproduced figure is made of: an experiment, a drawing, and claims with numbers."""
+"""What a reproduced figure is made of: an experiment, a drawing, and claims."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, SupportsFloat, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.errors import InputError
-from comparisons.figures import Aside, finite
+from comparisons.experiments.reproduction.claims import Claim, Claims
+from comparisons.figures import Aside
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 
 DATA_FOLDERS = ("victoria_park", "acfr_car_park", "mrclam")
 """Of --data: public logs that are no part of this project."""
-Relation = Literal["at most", "at least", "within"]
 _DOCUMENTS = {"G": "Guivant et al. 2002", "M": "Misono et al. 2007", "N": "Nieto 2005"}
 
 
@@ -62,125 +60,6 @@ class Sources:
         return open_log(str(folder))
 
 
-Cause = Literal["the document's", "not testable here", "ours"]
-
-
-@dataclass(frozen=True)
-class Why:
-    """Why a claim does not hold, as far as known, and whose the cause is."""
-
-    cause: Cause
-    text: str
-
-
-theirs = partial(Why, "the document's")
-"""The claim is not true of the document's own method and terms."""
-elsewhere = partial(Why, "not testable here")
-"""The document's log, or its world where it is not stated, is another than ours."""
-ours = partial(Why, "ours")
-"""Our method, world or yardstick differs from the document's."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Claim:
-    """A claim of a document and what was measured.
-
-    Attributes:
-        text: the claim, and of what the figure is.
-        measured: the figure; null where it is not finite.
-        relation: how the figure must stand to the limit.
-        limit: the limit.
-        least: lower end of what is asked, where that is a band that the limit ends.
-        own: whether the limit is ours, because the document has no number.
-        unit: unit of figure and limit.
-        asked: relation, limits and unit in words.
-        holds: whether the claim holds; without a figure it does not.
-        cause: whose it is that the claim does not hold, where that is known.
-        why: what is different here, where the claim does not hold and the reason is known.
-    """
-
-    text: str
-    measured: float | None
-    relation: Relation
-    limit: float
-    least: float | None
-    own: bool
-    unit: str
-    asked: str
-    holds: bool
-    cause: Cause | None
-    why: str | None
-
-    def explained(self, why: Why | None) -> Claim:
-        """The claim with this cause, none where it holds."""
-        known = None if self.holds else why
-        cause, text = (None, None) if known is None else (known.cause, known.text)
-        return replace(self, cause=cause, why=text)
-
-
-Claims = Iterator[Claim]
-
-
-def at_most(
-    text: str,
-    measured: SupportsFloat,
-    limit: float,
-    unit: str = "",
-    why: Why | None = None,
-    *,
-    own: bool = False,
-) -> Claim:
-    """A claim whose number must not exceed the limit. own: the document has no number."""
-    return _claim(text, float(measured), (-math.inf, limit), unit, own).explained(why)
-
-
-def at_least(
-    text: str,
-    measured: SupportsFloat,
-    limit: float,
-    unit: str = "",
-    why: Why | None = None,
-    *,
-    own: bool = False,
-) -> Claim:
-    """A claim whose number must reach the limit. own: the document has no number."""
-    return _claim(text, float(measured), (limit, math.inf), unit, own).explained(why)
-
-
-def within(
-    text: str,
-    measured: SupportsFloat,
-    band: tuple[float, float],
-    why: Why | None = None,
-    *,
-    own: bool = False,
-) -> Claim:
-    """A claim whose number must lie in a band. own: the document has no number."""
-    return _claim(text, float(measured), band, "", own).explained(why)
-
-
-def _claim(text: str, measured: float, band: tuple[float, float], unit: str, own: bool) -> Claim:
-    low, high = band
-    relation: Relation = (
-        "at most" if low == -math.inf else "at least" if high == math.inf else "within"
-    )
-    words = {"at most": f"at most {high:.3g}", "at least": f"at least {low:.3g}",
-             "within": f"{low:.3g} to {high:.3g}"}  # fmt: skip
-    return Claim(
-        text=text,
-        measured=finite(measured),
-        relation=relation,
-        limit=low if relation == "at least" else high,
-        least=low if relation == "within" else None,
-        own=own,
-        unit=unit,
-        asked=f"{words[relation]} {unit}".rstrip() + " (ours)" * own,
-        holds=math.isfinite(measured) and low <= measured <= high,
-        cause=None,
-        why=None,
-    )
-
-
 class Data(Protocol):
     """What an experiment leaves. log: the log or logs that it ran on, in words."""
 
@@ -198,20 +77,13 @@ class Experiment(Generic[D]):
     """One computation that several figures may share.
 
     run: computes and draws nothing; raises InputError. needs: one of DATA_FOLDERS without which
-    it cannot run. takes: those that it reads besides, where they are given. library: one of
-    graphslam.scan.libraries without which it cannot run.
+    it cannot run. library: one of graphslam.scan.libraries without which it cannot run.
     """
 
     name: str
     run: Callable[[Sources], D]
     needs: str | None = None
-    takes: tuple[str, ...] = ()
     library: str | None = None
-
-    @property
-    def reads(self) -> set[str]:
-        """All of DATA_FOLDERS that it may read."""
-        return {*self.takes, *(() if self.needs is None else (self.needs,))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,9 +91,10 @@ class Figure(Generic[D]):
     """One row of the catalogue.
 
     name: as on the command line, the document's initial and the figure's number. title: what is
-    shown. says: what the document claims by it, in our words. draw: draws on an empty figure of
-    `size` inches and computes nothing. claims: what is claimed, with the numbers of the
-    experiment. place: of the figure in the document, where that is not its number alone.
+    shown. says: what the document claims by it, in our words; with the title it describes the two
+    functions. draw: draws on an empty figure of `size` inches and computes nothing. claims: what is
+    claimed, with the numbers of the experiment. place: of the figure in the document, where that is
+    not its number alone.
     """
 
     name: str

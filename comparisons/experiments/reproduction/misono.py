@@ -19,25 +19,17 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    theirs,
-)
-from comparisons.experiments.reproduction.watched_run import truth_in_order
+from comparisons.experiments.reproduction.drives import Drives, truth_in_order
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.measures import rms
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
-from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.motion import RelativePoseModel
@@ -87,15 +79,7 @@ class Estimated:
 
     def rms_m(self, name: str) -> float:
         """Root mean square of them."""
-        return float(np.sqrt(np.mean(np.square(self.error_m(name)))))
-
-
-@dataclass(frozen=True)
-class Drives:
-    """Of several seeds; the first is drawn."""
-
-    log: str
-    each: tuple[Estimated, ...]
+        return rms(self.error_m(name))
 
 
 @dataclass(frozen=True)
@@ -130,12 +114,50 @@ def _estimate(log: Log, filter_name: str, aided: bool) -> Array:
     return run_ekf(log, timeline, choices, positions).estimate.pose
 
 
+class FilterNavigator:
+    """Misono's filter from the base on, as Navigator of the waypoint run.
+
+    It takes in measurements and positions as far as it is given them, and without any it is dead
+    reckoning.
+    """
+
+    def __init__(self, given: Given) -> None:
+        """The filter as published has no gate."""
+        self.given, complete = given, given.filter == "misono-full"
+        self.ekf = DirectionCosineEkf(
+            RelativePoseModel(),
+            KnownAssociation() if given.aided else EuclideanNeighbour(),
+            np.zeros(3),
+            1e-10 * np.eye(3),
+            options=DirectionCosineOptions(
+                full_jacobian=complete, renormalise=complete, stacked=complete
+            ),
+        )
+        if not complete:
+            self.ekf.fixes = replace(self.ekf.fixes, gate=NO_GATE)
+
+    def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
+        """Predict; the truth stays unread."""
+        self.ekf.predict(displacement, covariance, 0.0)
+
+    def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
+        """Associate and update."""
+        if self.given.filter and len(z):
+            self.ekf.observe(z, sigma, landmark)
+
+    def fixed(self, position: Array, covariance: Array) -> None:
+        """Fuse the position."""
+        if self.given.filter and self.given.aided:
+            self.ekf.fix_position(position, covariance)
+
+    def pose(self) -> Array:
+        """(3,) the filter's estimate."""
+        return self.ekf.read_pose().pose
+
+
 def navigated(seed: int, name: str) -> Array | None:
     """True poses (N, 3) of a drive that an estimate steers; None when the filter broke down."""
-    given = ESTIMATORS[name]
-    pilot = direction_cosine_navigator(
-        complete=given.filter == "misono-full", slam=bool(given.filter), aided=given.aided
-    )
+    pilot = FilterNavigator(ESTIMATORS[name])
     try:
         log = simulate(np.random.default_rng(seed), WaypointRun(), pilot)
     except FilterDivergedError:
@@ -143,7 +165,7 @@ def navigated(seed: int, name: str) -> Array | None:
     return truth_in_order(log)[0].pose
 
 
-def drives(sources: Sources) -> Drives:
+def drives(sources: Sources) -> Drives[Estimated]:
     """Seeds from 0."""
     name = f"waypoint-run, {sources.drives} drives from seed 0"
     return Drives(name, tuple(estimated(seed) for seed in range(sources.drives)))
@@ -153,14 +175,11 @@ def journeys(sources: Sources) -> Journeys:
     """Seeds from 0, each steered by every estimator."""
     name = f"waypoint-run steered by its estimate, {sources.drives} drives from seed 0"
     return Journeys(
-        name,
-        {e: tuple(navigated(seed, e) for seed in range(sources.drives)) for e in ESTIMATORS},
+        name, {e: tuple(navigated(seed, e) for seed in range(sources.drives)) for e in ESTIMATORS}
     )
 
 
-def claims_5(found: Drives) -> Claims:
-    """Errors of dead reckoning accumulate; those of SLAM are cancelled."""
-
+def _claims_5(found: Drives[Estimated]) -> Claims:
     def median(name: str) -> float:
         return float(np.median([one.rms_m(name) for one in found.each]))
 
@@ -168,76 +187,49 @@ def claims_5(found: Drives) -> Claims:
         parts = [np.array_split(one.error_m(name), _PARTS) for one in found.each]
         return float(np.median([p[-1].mean() / p[0].mean() for p in parts]))
 
-    yield at_least(
-        "by dead reckoning errors accumulate (last fifth of the run over the first, median)",
-        growth("dead reckoning"),
-        2.0,
-        own=True,
-    )
-    yield at_most(
-        "SLAM cancels them (its error over dead reckoning's, medians of RMS)",
-        median("misono") / median("dead reckoning"),
-        0.5,
-        own=True,
-    )
-    yield at_most(
+    text = "by dead reckoning errors accumulate (last fifth of the run over the first, median)"
+    yield at_least(text, growth("dead reckoning"), 2.0, own=True)
+    text = "SLAM cancels them (its error over dead reckoning's, medians of RMS)"
+    yield at_most(text, median("misono") / median("dead reckoning"), 0.5, own=True)
+    why = theirs(_HEADING.format(*map(median, _BESIDE)))
+    text = (
         "and tells exactly where the robot is (median RMS error; limit: the distance within "
-        "which a waypoint counts as reached)",
-        median("misono"),
-        WaypointRun().reached_m,
-        "m",
-        why=theirs(_HEADING.format(*map(median, _BESIDE))),
-        own=True,
+        "which a waypoint counts as reached)"
     )
+    yield at_most(text, median("misono"), WaypointRun().reached_m, "m", why=why, own=True)
 
 
-def claims_6(found: Journeys) -> Claims:
-    """By SLAM the robot comes back to where it began."""
+def _claims_6(found: Journeys) -> Claims:
     slam, blind = (found.ends_m(name) for name in ("misono", "dead reckoning"))
-    yield at_least(
-        "by dead reckoning the robot misses its starting point (median distance)",
-        np.median(blind),
-        1.0,
-        "m",
-        own=True,
-    )
-    yield at_most(
+    text = "by dead reckoning the robot misses its starting point (median distance)"
+    yield at_least(text, np.median(blind), 1.0, "m", own=True)
+    why = theirs(_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE)))
+    text = (
         "by SLAM it returns to it (worst drive; limit: twice the distance within which a "
-        "waypoint counts as reached)",
-        slam.max(),
-        2.0 * WaypointRun().reached_m,
-        "m",
-        why=theirs(_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE))),
-        own=True,
+        "waypoint counts as reached)"
     )
+    yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True)
 
 
-def draw_5(canvas: Canvas, found: Drives) -> None:
-    """SLAM left, dead reckoning right, as in the paper."""
+def _draw_5(canvas: Canvas, found: Drives[Estimated]) -> None:
     one, (left, right) = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
-    draw_estimates(left, one, DRAWN[1:], "(a) estimated by SLAM")
-    draw_estimates(right, one, ("dead reckoning",), "(b) by dead reckoning")
+    _draw_estimates(left, one, DRAWN[1:], "(a) estimated by SLAM")
+    _draw_estimates(right, one, ("dead reckoning",), "(b) by dead reckoning")
 
 
-def draw_6(canvas: Canvas, found: Journeys) -> None:
-    """Where the robot goes by what it believes."""
-    draw_journeys(canvas.add_subplot(), found, "where the robot truly goes")
-
-
-def draw_estimates(axis: Axes, one: Estimated, names: tuple[str, ...], title: str) -> None:
-    """Estimated paths of one drive over the true one."""
-    axis.plot(*one.true[:, :2].T, color=TRUE_PATH_COLOUR, linewidth=3.0, label="true path")
-    for name in names:
-        draw_trajectory(axis, one.estimates[name], _COLOURS[name], name)
-    _course(axis, title)
-
-
-def draw_journeys(axis: Axes, found: Journeys, title: str) -> None:
-    """True paths of the first seed, by what steered."""
+def _draw_6(canvas: Canvas, found: Journeys) -> None:
+    axis = canvas.add_subplot()
     for name, colour in _COLOURS.items():
         path = found.each[name][0]
         if path is not None:
             draw_trajectory(axis, path, colour, f"steered by {name}")
+    _course(axis, "where the robot truly goes")
+
+
+def _draw_estimates(axis: Axes, one: Estimated, names: tuple[str, ...], title: str) -> None:
+    axis.plot(*one.true[:, :2].T, color=TRUE_PATH_COLOUR, linewidth=3.0, label="true path")
+    for name in names:
+        draw_trajectory(axis, one.estimates[name], _COLOURS[name], name)
     _course(axis, title)
 
 
@@ -247,73 +239,19 @@ def _course(axis: Axes, title: str) -> None:
     plan(axis, title, legend="best")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="M5", title="Waypoints: estimated by SLAM and by dead reckoning",
         says="Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "
         "exactly where the robot is.",
-        experiment=Experiment("Misono's Fig. 5", drives), draw=draw_5, claims=claims_5,
+        experiment=Experiment("Misono's Fig. 5", drives), draw=_draw_5, claims=_claims_5,
         size=(10.0, 4.8),
     ),
     Figure(
         name="M6", title="Waypoints: where the robot goes by its estimate",
         says="Steered by SLAM the robot returns to its starting point; dead reckoning would not "
         "bring it there.",
-        experiment=Experiment("Misono's Fig. 6", journeys), draw=draw_6, claims=claims_6,
+        experiment=Experiment("Misono's Fig. 6", journeys), draw=_draw_6, claims=_claims_6,
         size=(6.5, 6.0), place="Fig. 6 (there a real robot, here the simulated one)",
     ),
 )  # fmt: skip
-
-
-class FilterNavigator:
-    """A filter with a relative-pose motion model, as Navigator of the waypoint run."""
-
-    def __init__(self, ekf: Ekf, *, use_measurements: bool = True, use_fixes: bool = True) -> None:
-        """ekf: at its prior. Without measurements and fixes it is dead reckoning."""
-        self.ekf = ekf
-        self.use_measurements = use_measurements
-        self.use_fixes = use_fixes
-        self.path: list[Array] = [self.pose()]
-
-    def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
-        """Predict; the truth stays unread."""
-        self.ekf.predict(displacement, covariance, 0.0)
-        self.path.append(self.pose())
-
-    def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
-        """Associate and update."""
-        if self.use_measurements and len(z):
-            self.ekf.observe(z, sigma, landmark)
-            self.path[-1] = self.pose()
-
-    def fixed(self, position: Array, covariance: Array) -> None:
-        """Fuse the position."""
-        if self.use_fixes:
-            self.ekf.fix_position(position, covariance)
-            self.path[-1] = self.pose()
-
-    def pose(self) -> Array:
-        """(3,) the filter's estimate."""
-        return self.ekf.read_pose().pose
-
-
-def direction_cosine_navigator(
-    *, complete: bool, slam: bool = True, aided: bool = False
-) -> FilterNavigator:
-    """Misono's filter at the base, as published or complete; without `slam` it dead reckons.
-
-    aided: it is given labels and positions; else landmarks go by eq. 17, and there are none.
-    """
-    rule = KnownAssociation() if aided else EuclideanNeighbour()
-    ekf = DirectionCosineEkf(
-        RelativePoseModel(),
-        rule,
-        np.zeros(3),
-        1e-10 * np.eye(3),
-        options=DirectionCosineOptions(
-            full_jacobian=complete, renormalise=complete, stacked=complete
-        ),
-    )
-    if not complete:
-        ekf.fixes = replace(ekf.fixes, gate=NO_GATE)
-    return FilterNavigator(ekf, use_measurements=slam, use_fixes=slam and aided)

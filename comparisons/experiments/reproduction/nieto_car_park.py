@@ -23,21 +23,14 @@ from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import SIGMAS, Place, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     ellipses_of,
     occupied,
+    off_gps,
     rms,
     searched_at_end,
     within_3_sigma,
@@ -53,7 +46,8 @@ from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, 
 from ekf_reference.core.geometry import to_world
 from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.scan_landmarks.high_level import Found, Search, SearchOptions, search
+from ekf_reference.scan_landmarks.high_level import Search, SearchOptions, search
+from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"
@@ -130,22 +124,18 @@ class CarPark:
         held = self.ellipses
         low, high = held.mean.min(axis=0) - COARSE_M, held.mean.max(axis=0) + COARSE_M
         axes = [np.arange(a, b, COARSE_M) for a, b in zip(low, high, strict=True)]
-        point = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        height = np.zeros(len(point))
-        for mean, covariance in zip(held.mean, held.covariance, strict=True):
-            away = point - mean
-            squared = np.einsum("ni,ni->n", away, np.linalg.solve(covariance, away.T).T)
-            height += np.exp(-0.5 * squared)
-        return Samples(point, height, np.zeros(len(point), dtype=np.intp))
+        point = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        g = SumOfGaussians.of_equal_height(held.mean, held.covariance)
+        peak = g.weight[0] / (2.0 * np.pi * np.sqrt(np.linalg.det(g.covariance[0])))
+        height = np.concatenate([g.value(column) for column in point]) / peak
+        return Samples(point.reshape(-1, 2), height, np.zeros(len(height), dtype=np.intp))
 
 
-def car_park(sources: Sources) -> CarPark:
-    """Drive the log three times: cells of 0.4 m and 0.5 m, and with GPS. Raises InputError."""
-    return of_log(sources.log(FOLDER))
+def car_park(log: Log) -> CarPark:
+    """Drive the log three times: cells of 0.4 m and 0.5 m, and with GPS.
 
-
-def of_log(log: Log) -> CarPark:
-    """The same of any log with scans, GPS and surveyed landmarks. Raises InputError."""
+    Raises InputError for a log without scans, GPS or surveyed landmarks.
+    """
     positions, known = log.positions, log.truth.landmarks
     if positions is None or known is None:
         raise InputError(f"{log.name}: GPS and surveyed landmarks are needed")
@@ -184,97 +174,53 @@ def _mapped(log: Log, cell_m: float, *, gps: bool = False) -> DenseMapping:
     return map_log(log, MapConfig(ekf=ekf, extensions={"dense_maps": maps}))
 
 
-def off_gps(log: Log, time_s: Array, pose: Array) -> Array:
-    """(G,) distances of a path to GPS at its times. Raises InputError for a log without."""
-    fixes = log.positions
-    if fixes is None:
-        raise InputError(f"{log.name}: holds no positions")
-    inside = (fixes.time_s >= time_s[0]) & (fixes.time_s <= time_s[-1])
-    at = [np.interp(fixes.time_s[inside], time_s, pose[:, k]) for k in (0, 1)]
-    away: Array = np.linalg.norm(np.column_stack(at) - fixes.position_m[inside], axis=1)
-    return away
-
-
 def _searched(mapping: DenseMapping, cell_m: float) -> Search:
     options = SearchOptions(reach_m=_WHOLE_MAP_M, cell_m=cell_m, pair_m=PAIR_M, least=LEAST)
     return search(searched_at_end(mapping), np.empty((0, 4, 2)), options)
 
 
-def claims_3_20(found: CarPark) -> Claims:
-    """The path, the landmarks and their ellipses."""
+def _claims_3_20(found: CarPark) -> Claims:
     known = np.isfinite(found.beacon[:, 0])
     error = (found.landmark - found.beacon)[known]
     sigma = np.sqrt(np.trace(found.blocks, axis1=1, axis2=2))
     far = np.linalg.norm(found.landmark - found.aided_path[0], axis=1)
     farther = far > np.median(far)
-    yield at_most(
-        "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)",
-        rms(found.path_gps) / rms(found.wheels_gps),
-        0.5,
-        why=elsewhere("the last 15 s, without a reflector in view, are dead reckoning in both"),
-        own=True,
-    )
-    yield at_most(
-        "where landmarks are in view it is close to GPS (median distance)",
-        np.median(found.path_gps),
-        0.5,
-        "m",
-        own=True,
-    )
-    yield at_least(
-        "the landmarks' surveyed places are within the 3-sigma ellipses (share)",
-        np.mean(within_3_sigma(error, found.blocks[known])),
-        SHARE_WITHIN_3_SIGMA,
-    )
-    yield at_least(
+    why = elsewhere("the last 15 s, without a reflector in view, are dead reckoning in both")
+    text = "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)"
+    yield at_most(text, rms(found.path_gps) / rms(found.wheels_gps), 0.5, why=why, own=True)
+    text = "where landmarks are in view it is close to GPS (median distance)"
+    yield at_most(text, np.median(found.path_gps), 0.5, "m", own=True)
+    text = "the landmarks' surveyed places are within the 3-sigma ellipses (share)"
+    yield at_least(text, np.mean(within_3_sigma(error, found.blocks[known])), SHARE_WITHIN_3_SIGMA)
+    text = (
         "landmarks far from the start are the most uncertain (mean sigma of the farther half "
-        "over that of the nearer)",
-        sigma[farther].mean() / sigma[~farther].mean(),
-        1.0,
+        "over that of the nearer)"
     )
+    yield at_least(text, sigma[farther].mean() / sigma[~farther].mean(), 1.0)
 
 
-def claims_3_22(found: CarPark) -> Claims:
-    """The final map beside the laser image."""
+def _claims_3_22(found: CarPark) -> Claims:
     regions = found.fine.dense.dense.regions
     away = found.off(found.fine.layers["points"].point)
-    yield at_most(
-        "the dense map lies on the laser image (median distance of its points)",
-        np.median(away),
-        CELL_M,
-        "m",
-        own=True,
-    )
-    yield at_most(
-        "all of it does (95 % of the distances)",
-        np.percentile(away, 95.0),
-        CELL_M,
-        "m",
-        why=_LAST,
-        own=True,
-    )
-    yield at_least(
-        "virtual landmarks were needed (regions with one)",
-        int(np.count_nonzero((regions.base < 0).any(axis=1))),
-        1,
-    )
+    text = "the dense map lies on the laser image (median distance of its points)"
+    yield at_most(text, np.median(away), CELL_M, "m", own=True)
+    text = "all of it does (95 % of the distances)"
+    yield at_most(text, np.percentile(away, 95.0), CELL_M, "m", why=_LAST, own=True)
+    text = "virtual landmarks were needed (regions with one)"
+    yield at_least(text, int(np.count_nonzero((regions.base < 0).any(axis=1))), 1)
 
 
-def claims_4_14(found: CarPark) -> Claims:
-    """The closing, by cells; and how they compare with raw points."""
+def _claims_4_14(found: CarPark) -> Claims:
     cells, points = (
         float(np.median(found.off(occupied(found.fine.layers[name]))))
         for name in ("occupancy", "points")
     )
     yield from _closing_claims(found, "occupancy")
-    yield at_most(
+    text = (
         "the grid is as accurate as the raw observations (median distance to the laser image, "
-        "difference; limit: a cell)",
-        abs(cells - points),
-        CELL_M,
-        "m",
-        own=True,
+        "difference; limit: a cell)"
     )
+    yield at_most(text, abs(cells - points), CELL_M, "m", own=True)
 
 
 def _closing_claims(found: CarPark, layer: str) -> Claims:
@@ -284,45 +230,28 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
     known = np.flatnonzero(np.isfinite(found.beacon[: len(b.landmark), 0]))
     true = found.beacon[known]
     off = [rms(np.linalg.norm(x[known] - true, axis=1)) for x in (b.landmark, found.landmark)]
-    yield at_least(
-        "before the loop closes the map is visibly off (95 % of its distances to the laser image)",
-        np.percentile(then, 95.0),
-        ERROR_BEFORE_M,
-        "m",
-        why=elsewhere(
-            f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together"
-        ),
+    why = elsewhere(
+        f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together"
     )
-    yield at_most(
+    text = (
+        "before the loop closes the map is visibly off (95 % of its distances to the laser image)"
+    )
+    yield at_least(text, np.percentile(then, 95.0), ERROR_BEFORE_M, "m", why=why)
+    text = (
         "closing the loop corrects the map (RMS distance of its landmarks to the surveyed "
-        "ones, in the end over before)",
-        off[1] / off[0],
-        1.0,
+        "ones, in the end over before)"
     )
-    yield at_most(
-        "by a large part (the same)",
-        off[1] / off[0],
-        0.5,
-        why=elsewhere(f"{OTHER_PART}: from {off[0]:.2f} m to {off[1]:.2f} m"),
-        own=True,
-    )
+    yield at_most(text, off[1] / off[0], 1.0)
+    why = elsewhere(f"{OTHER_PART}: from {off[0]:.2f} m to {off[1]:.2f} m")
+    yield at_most("by a large part (the same)", off[1] / off[0], 0.5, why=why, own=True)
 
 
 def _near_image(found: CarPark, what: str, layer: str, *, fine: bool = False) -> Claims:
     """Of a layer of the coarse map, or of the fine one."""
     mapping, cell_m = (found.fine, CELL_M) if fine else (found.coarse, COARSE_M)
-    yield at_most(
-        f"{what} lie on the laser image (median distance; limit: a cell)",
-        np.median(found.off(occupied(mapping.layers[layer]))),
-        cell_m,
-        "m",
-        own=True,
-    )
-
-
-def placed_template(one: Found) -> Array:
-    """(N, 2) points [m] of a high level landmark's template."""
-    return to_world(one.place, one.template.shape.mean)
+    text = f"{what} lie on the laser image (median distance; limit: a cell)"
+    away = found.off(occupied(mapping.layers[layer]))
+    yield at_most(text, np.median(away), cell_m, "m", own=True)
 
 
 def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
@@ -331,76 +260,55 @@ def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
     corner = (found.searched_fine if fine else found.searched).corner
     held = occupied(mapping.layers["occupancy"])
     away = cKDTree(held).query(corner)[0] if len(corner) else np.array([np.nan])
-    yield at_least(
-        "corners are found in the grid that no single scan shows", len(corner), 2, own=True
-    )
-    yield at_most(
+    text = "corners are found in the grid that no single scan shows"
+    yield at_least(text, len(corner), 2, own=True)
+    text = (
         "they are corners of what stands there (largest distance to an occupied cell; limit: "
-        "two cells)",
-        away.max(),
-        2.0 * cell_m,
-        "m",
-        own=True,
+        "two cells)"
     )
+    yield at_most(text, away.max(), 2.0 * cell_m, "m", own=True)
 
 
-def claims_6_11(found: CarPark) -> Claims:
-    """SLAM with GPS, of which the laser image is made."""
-    yield at_most(
-        "SLAM combined with GPS follows GPS (median distance)",
-        np.median(found.aided_gps),
-        0.1,
-        "m",
-        own=True,
-    )
+def _claims_6_11(found: CarPark) -> Claims:
+    text = "SLAM combined with GPS follows GPS (median distance)"
+    yield at_most(text, np.median(found.aided_gps), 0.1, "m", own=True)
 
 
-def claims_6_15(found: CarPark) -> Claims:
-    """The surface of the sum."""
+def _claims_6_15(found: CarPark) -> Claims:
     surface = found.surface
     high = surface.point[surface.occupancy > 0.5]
-    yield at_most(
+    off = np.percentile(found.off(high), 95.0) if len(high) else np.nan
+    text = (
         "the sum of Gaussians is high where the laser image is (95 % of the distances of what "
-        "is above half a peak; limit: two cells)",
-        np.percentile(found.off(high), 95.0) if len(high) else np.nan,
-        2.0 * COARSE_M,
-        "m",
-        why=_LAST,
-        own=True,
+        "is above half a peak; limit: two cells)"
     )
+    yield at_most(text, off, 2.0 * COARSE_M, "m", why=_LAST, own=True)
 
 
-def claims_6_16(found: CarPark) -> Claims:
-    """Three layers of one run."""
+def _claims_6_16(found: CarPark) -> Claims:
     layers = found.coarse.layers
     grid = cKDTree(occupied(layers["occupancy"]))
     for name, key in (("raw observations", "points"), ("Gaussians", "sog")):
-        yield at_most(
+        text = (
             f"{name} and the grid show the same surfaces (median distance to an occupied cell; "
-            "limit: two cells)",
-            np.median(grid.query(occupied(layers[key]))[0]),
-            2.0 * COARSE_M,
-            "m",
-            own=True,
+            "limit: two cells)"
         )
+        away = grid.query(occupied(layers[key]))[0]
+        yield at_most(text, np.median(away), 2.0 * COARSE_M, "m", own=True)
 
 
-def claims_6_18(found: CarPark) -> Claims:
-    """High level landmarks."""
+def _claims_6_18(found: CarPark) -> Claims:
     s = found.searched
     yield at_least("pairs of corners up to 7 m apart are found", len(s.candidate) + s.known, 1)
-    yield at_least(
-        f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)",
-        len(s.found),
-        HIGH_LEVEL_COUNT,
-        why=elsewhere(
-            f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
-            "landmark must have is not stated"
-        ),
+    why = elsewhere(
+        f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
+        "landmark must have is not stated"
     )
+    text = f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)"
+    yield at_least(text, len(s.found), HIGH_LEVEL_COUNT, why=why)
 
 
-CAR_PARK = Experiment("the car park, dense maps", car_park, FOLDER)
+CAR_PARK = Experiment("the car park, dense maps", lambda given: car_park(given.log(FOLDER)), FOLDER)
 
 
 _MARGIN_M = 6.0
@@ -412,8 +320,7 @@ def _frame(axis: Axes, found: CarPark, title: str, *, legend: Place | None = Non
     frame(axis, np.vstack((found.aided_path, found.landmark)), _MARGIN_M)
 
 
-def draw_3_20(canvas: Canvas, found: CarPark) -> None:
-    """Dead reckoning and SLAM, both with GPS."""
+def _draw_3_20(canvas: Canvas, found: CarPark) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     for axis in (left, right):
         axis.plot(*found.gps.T, ".", color=TRUTH_COLOUR, markersize=2, label="GPS")
@@ -427,8 +334,7 @@ def draw_3_20(canvas: Canvas, found: CarPark) -> None:
         _frame(axis, found, title, legend="lower left")
 
 
-def draw_3_22(canvas: Canvas, found: CarPark) -> None:
-    """Raw points over the laser image."""
+def _draw_3_22(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     _over_image(axis, found, found.fine.layers["points"], found.fine.placed.triangle)
     axis.plot(*found.landmark.T, "o", color=SMOOTHER_COLOUR, markersize=4, markerfacecolor="none")
@@ -464,7 +370,7 @@ def _grid(canvas: Canvas, found: CarPark, *, fine: bool = False) -> None:
     _frame(axis, found, f"occupancy, cells of {cell_m:g} m")
 
 
-def draw_6_1(canvas: Canvas, found: CarPark) -> None:
+def _draw_6_1(canvas: Canvas, found: CarPark) -> None:
     """The grid with corners, and a close-up of the upper part, as in the thesis."""
     left, right = canvas.subplots(1, 2)
     corner = found.searched_fine.corner
@@ -477,8 +383,7 @@ def draw_6_1(canvas: Canvas, found: CarPark) -> None:
     right.set_ylim(north - 16.0, north + 3.0)
 
 
-def draw_6_11(canvas: Canvas, found: CarPark) -> None:
-    """GPS and the laser image."""
+def _draw_6_11(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     draw_cloud(axis, found.image)
     axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.2, label="GPS")
@@ -486,16 +391,14 @@ def draw_6_11(canvas: Canvas, found: CarPark) -> None:
     _frame(axis, found, "laser image by SLAM and GPS", legend="lower left")
 
 
-def draw_6_12(canvas: Canvas, found: CarPark) -> None:
-    """Raw observations in regions."""
+def _draw_6_12(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     draw_regions(axis, found.coarse.placed.triangle)
     draw_occupied(axis, found.coarse.layers["points"])
     _frame(axis, found, "raw observations in local regions")
 
 
-def draw_6_14(canvas: Canvas, found: CarPark) -> None:
-    """Ellipses of one sigma."""
+def _draw_6_14(canvas: Canvas, found: CarPark) -> None:
     axis = canvas.add_subplot()
     _gaussians(axis, found)
     _frame(axis, found, "Gaussians, 1 sigma")
@@ -506,8 +409,7 @@ def _gaussians(axis: Axes, found: CarPark) -> None:
     draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 16), EKF_COLOUR, width=0.6)
 
 
-def draw_6_15(canvas: Canvas, found: CarPark) -> None:
-    """The sum's height."""
+def _draw_6_15(canvas: Canvas, found: CarPark) -> None:
     axis, surface = canvas.add_subplot(), found.surface
     east, north = (np.unique(column) for column in surface.point.T)
     height = surface.occupancy.reshape(len(east), len(north)).T
@@ -516,16 +418,14 @@ def draw_6_15(canvas: Canvas, found: CarPark) -> None:
     _frame(axis, found, f"sum of Gaussians on a grid of {COARSE_M:g} m")
 
 
-def draw_6_17(canvas: Canvas, found: CarPark) -> None:
-    """Corners over the grid of 0.5 m."""
+def _draw_6_17(canvas: Canvas, found: CarPark) -> None:
     _grid(canvas, found)
     axis = canvas.axes[0]
     axis.plot(*found.searched.corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
     axis.legend(fontsize=8)
 
 
-def draw_6_16(canvas: Canvas, found: CarPark) -> None:
-    """Raw, Gaussians, grid."""
+def _draw_6_16(canvas: Canvas, found: CarPark) -> None:
     axes = canvas.subplots(1, 3, sharex=True, sharey=True)
     draw_occupied(axes[0], found.coarse.layers["points"])
     _gaussians(axes[1], found)
@@ -535,8 +435,7 @@ def draw_6_16(canvas: Canvas, found: CarPark) -> None:
         _frame(axis, found, title)
 
 
-def draw_6_18(canvas: Canvas, found: CarPark) -> None:
-    """Rectangles around pairs, and the templates of those accepted."""
+def _draw_6_18(canvas: Canvas, found: CarPark) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     s = found.searched
     draw_cloud(left, found.image)
@@ -551,26 +450,25 @@ def draw_6_18(canvas: Canvas, found: CarPark) -> None:
         )  # fmt: skip
         left.add_collection(areas)
     for one in s.found:
-        x, y = placed_template(one).T
-        right.plot(x, y, ".", markersize=3)
+        right.plot(*to_world(one.place, one.template.shape.mean).T, ".", markersize=3)
     _frame(left, found, "(a) pairs of corners", legend="lower left")
     _frame(right, found, "(b) templates of the high level landmarks")
 
 
 _TWO = (12.0, 7.0)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.20", title="Car park: dead reckoning and feature SLAM beside GPS",
         says="Dead reckoning drifts away from GPS; SLAM stays, with the largest uncertainty far "
         "from the start." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_3_20, claims=claims_3_20, size=_TWO,
+        experiment=CAR_PARK, draw=_draw_3_20, claims=_claims_3_20, size=_TWO,
     ),
     Figure(
         name="N3.22", title="Car park: final map of DenseSLAM",
         says="The dense map lies on the laser image that SLAM and GPS make together; virtual "
         "landmarks were needed to take in the walls." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_3_22, claims=claims_3_22, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_3_22, claims=_claims_3_22, size=(7.5, 7.0),
     ),
     Figure(
         name="N3.23", title="Car park: raw returns before and after a loop closes",
@@ -584,7 +482,7 @@ FIGURES: tuple[AnyFigure, ...] = (
         says="Some 3 m of error before the closing are reduced substantially; the accuracy is that "
         "of the raw observations." + OTHER_LOG,
         experiment=CAR_PARK, draw=partial(_closing, layer="occupancy"),
-        claims=claims_4_14, size=_TWO,
+        claims=_claims_4_14, size=_TWO,
     ),
     Figure(
         name="N4.15", title="Car park: final occupancy grid",
@@ -597,17 +495,17 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N6.1", title="Car park: corners of the occupancy grid",
         says="A corner detector finds in the map what cannot be identified from one vantage "
         "point." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_1, claims=partial(_corner_claims, fine=True), size=_TWO,
+        experiment=CAR_PARK, draw=_draw_6_1, claims=partial(_corner_claims, fine=True), size=_TWO,
     ),
     Figure(
         name="N6.11", title="Car park: trajectory and laser image",
         says="SLAM combined with GPS gives a laser image of the environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_11, claims=claims_6_11, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_6_11, claims=_claims_6_11, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.12", title="Car park: raw observations in local regions",
         says="Raw observations fused into the regions are a map of the environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_12,
+        experiment=CAR_PARK, draw=_draw_6_12,
         claims=partial(_near_image, what="raw observations", layer="points"), size=(7.5, 7.0),
     ),
     Figure(
@@ -621,29 +519,29 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N6.14", title="Car park: sum of Gaussians with d_min of 0.5 m",
         says="Gaussians, observed ones fused with the map's where nearer than d_min, represent the "
         "same environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_14,
+        experiment=CAR_PARK, draw=_draw_6_14,
         claims=partial(_near_image, what="the Gaussians' means", layer="sog"), size=(7.5, 7.0),
     ),
     Figure(
         name="N6.15", title="Car park: the sum of Gaussians as a surface",
         says="Evaluated on a grid of 0.5 m, the sum is high where something stands." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_15, claims=claims_6_15, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_6_15, claims=_claims_6_15, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.16", title="Car park: three layers of one run",
         says="Raw observations, Gaussians and a grid of the same data are kept at the same "
         "time." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_16, claims=claims_6_16, size=(15.0, 6.4),
+        experiment=CAR_PARK, draw=_draw_6_16, claims=_claims_6_16, size=(15.0, 6.4),
     ),
     Figure(
         name="N6.17", title="Car park: corners of the occupancy layer",
         says="The corner detector marks corners of buildings and cars." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_17, claims=_corner_claims, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_draw_6_17, claims=_corner_claims, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.18", title="Car park: high level landmarks",
         says="Pairs of corners up to 7 m apart give rectangles, and the Gaussians in them nine "
         "high level landmarks." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_18, claims=claims_6_18, size=_TWO,
+        experiment=CAR_PARK, draw=_draw_6_18, claims=_claims_6_18, size=_TWO,
     ),
 )  # fmt: skip

@@ -20,28 +20,27 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claim, Claims, at_least, at_most, elsewhere
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claim,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
+from comparisons.experiments.reproduction.interface import Experiment, Figure
+from comparisons.experiments.reproduction.measures import (
+    SHARE_WITHIN_3_SIGMA,
+    mean,
+    median,
+    off_gps,
 )
-from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA
 from comparisons.experiments.reproduction.nieto_car_park import (
     FOLDER,
     OTHER_LOG,
     OTHER_PART,
-    off_gps,
 )
-from comparisons.experiments.reproduction.nieto_scan_slam import ScanMap, axes_at, scan_map
+from comparisons.experiments.reproduction.nieto_scan_slam import (
+    ScanMap,
+    axes_at,
+    first_measurements,
+    scan_map,
+)
 from comparisons.extensions.dense_maps.figure import draw_cloud
-from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
 from comparisons.jobs.run import run_filter
@@ -119,13 +118,8 @@ class CarParkScans:
     gps: Array
 
 
-def car_park_scans(sources: Sources) -> CarParkScans:
+def car_park_scans(log: Log) -> CarParkScans:
     """Drive the log by reflectors, with GPS, and by both forms of Scan-SLAM. Raises InputError."""
-    return of_log(sources.log(FOLDER))
-
-
-def of_log(log: Log) -> CarParkScans:
-    """The same of a car park's log. Raises InputError."""
     if log.positions is None:
         raise InputError(f"{log.name}: holds no positions")
     feature, aided = (
@@ -165,17 +159,13 @@ def _scan_slam(
     if source is None or run.breakdown is not None:
         raise InputError(f"{log.name}: {run.breakdown or 'no scan was looked at'}")
     estimate = run.estimate
-    landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
-    true = reference.at(estimate.time_s[run.pose_landmarks.pose])
-    covariance = place_covariances(estimate)
-    first = np.unique(run.pose_landmarks.landmark, return_index=True)[1][landmark_indices]
+    held = scan_map(source.found, run, reference)
+    first = first_measurements(run)[held.landmark_index]
     return CarParkRun(
         templates=in_words(template_rule(source.options)),
         path=estimate.pose[:, :2],
         path_gps=off_gps(log, estimate.time_s, estimate.pose),
-        held=scan_map(
-            source.found, run, true, landmark_indices, estimate.pose_landmarks, covariance
-        ),
+        held=held,
         first_s=estimate.time_s[run.pose_landmarks.pose[first]],
         aligned=_aligned(run, scans, source),
     )
@@ -184,8 +174,7 @@ def _scan_slam(
 def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Aligned, ...]:
     seen, found = run.pose_landmarks, []
     number = np.searchsorted(scans.time_s, run.estimate.time_s[seen.pose])
-    first = np.unique(seen.landmark, return_index=True)[1]
-    for row in np.setdiff1d(np.arange(len(seen.landmark)), first).tolist():
+    for row in np.setdiff1d(np.arange(len(seen.landmark)), first_measurements(run)).tolist():
         points = source.found.template[int(seen.landmark[row])].shape.mean
         template = planar.moved(seen.measured[row], points)
         scan = scans.scan(int(number[row]), np.zeros(3)).point
@@ -193,96 +182,74 @@ def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Alig
     return tuple(found)
 
 
-def claims_5_10(found: CarParkScans) -> Claims:
-    """How many landmarks, and how far the paths are from GPS."""
+def _claims_5_10(found: CarParkScans) -> Claims:
     count = len(found.published.held.landmark_index)
-    thesis, ours, feature = (
-        float(np.median(away))
-        for away in (found.published.path_gps, found.joined.path_gps, found.feature_gps)
-    )
+    away = found.published.path_gps, found.joined.path_gps, found.feature_gps
+    thesis, ours, feature = map(median, away)
     why = elsewhere(
         f"{OTHER_PART}: from GPS {thesis:.2f} m, joined {ours:.2f} m, feature SLAM {feature:.2f} m"
     )
-    yield at_most(
-        "six landmarks are incorporated (difference from six)",
-        abs(count - LANDMARKS),
-        0,
-        why=elsewhere(f"{OTHER_PART}: {count} landmarks"),
-    )
-    yield at_least(
+    text = "six landmarks are incorporated (difference from six)"
+    other = elsewhere(f"{OTHER_PART}: {count} landmarks")
+    yield at_most(text, abs(count - LANDMARKS), 0, why=other)
+    text = (
         "the results are not as accurate as those of feature-based SLAM (median distance from "
-        "GPS over that of feature SLAM)",
-        thesis / feature,
-        1.0,
-        why=why,
+        "GPS over that of feature SLAM)"
     )
-    yield at_least(
-        f"so they are not {_JOINED} (the same)",
-        ours / feature,
-        1.0,
-        why=why,
-    )
-    yield at_most(
+    yield at_least(text, thesis / feature, 1.0, why=why)
+    text = f"so they are not {_JOINED} (the same)"
+    yield at_least(text, ours / feature, 1.0, why=why)
+    text = (
         "more information in the templates improves them (the same distance, joined segments, "
-        "ours, over the thesis' form)",
-        ours / thesis,
-        1.0,
-        why=why,
+        "ours, over the thesis' form)"
     )
+    yield at_most(text, ours / thesis, 1.0, why=why)
 
 
-def claims_5_11(found: CarParkScans) -> Claims:
-    """Whether the landmarks are as well known as the filter says."""
+def _claims_5_11(found: CarParkScans) -> Claims:
     yield _consistent("the landmark covariances are consistent with the errors", found.published)
     yield _consistent(f"so they are {_JOINED}", found.joined)
 
 
 def _consistent(text: str, run: CarParkRun) -> Claim:
     held, early = run.held, run.first_s < TURN_S
-    share = float(np.mean(held.within)) if len(held.landmark_index) else float("nan")
+    share = mean(held.within)
     sigma = np.sqrt(np.trace(held.covariance, axis1=1, axis2=2) / 2.0)
-    return at_least(
-        f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)",
-        share,
-        SHARE_WITHIN_3_SIGMA,
-        why=elsewhere(
-            f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
-            "landmarks, off by "
-            f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of "
-            f"those first seen before {TURN_S:.0f} s, when a turn begins in which the steering "
-            f"reading saturates, {np.count_nonzero(held.within[early])} of {early.sum()}"
-        ),
+    why = elsewhere(
+        f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
+        "landmarks, off by "
+        f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of "
+        f"those first seen before {TURN_S:.0f} s, when a turn begins in which the steering "
+        f"reading saturates, {np.count_nonzero(held.within[early])} of {early.sum()}"
     )
+    text = f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)"
+    return at_least(text, share, SHARE_WITHIN_3_SIGMA, why=why)
 
 
-def claims_5_12(found: CarParkScans) -> Claims:
-    """Where a template's points come to lie."""
+def _claims_5_12(found: CarParkScans) -> Claims:
     yield _on_the_scan("the alignment lays the template on the scan", found.published)
     yield _on_the_scan(
-        f"so it does {_JOINED}",
-        found.joined,
-        "; half of a joined template need be in view",
+        f"so it does {_JOINED}", found.joined, "; half of a joined template need be in view"
     )
 
 
 def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
     off, limit_m = [one.off_m for one in run.aligned], SensorSigmas().range_m
     near = np.median([np.mean(one.away_m <= limit_m) for one in run.aligned])
-    return at_most(
-        f"{text} (median distance of its points to the nearest return, median of all "
-        "measurements used; limit: Table A.1's sigma of range)",
-        float(np.median(off)) if off else float("nan"),
-        limit_m,
-        "m",
-        why=elsewhere(
-            f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
-            f"the limit (median){besides}"
-        ),
-        own=True,
+    why = elsewhere(
+        f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
+        f"the limit (median){besides}"
     )
+    text = (
+        f"{text} (median distance of its points to the nearest return, median of all "
+        "measurements used; limit: Table A.1's sigma of range)"
+    )
+    return at_most(text, median(off), limit_m, "m", why=why, own=True)
 
 
-EXPERIMENT = Experiment("the car park, Scan-SLAM", car_park_scans, FOLDER)
+EXPERIMENT = Experiment(
+    "the car park, Scan-SLAM", lambda given: car_park_scans(given.log(FOLDER)), FOLDER
+)
 
 
 _MARGIN_M = 15.0
@@ -298,8 +265,7 @@ def _both(canvas: Canvas, found: CarParkScans) -> tuple[tuple[Axes, CarParkRun, 
     return tuple(zip((left, right), runs, _FORMS, strict=True))
 
 
-def draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
-    """Paths, templates and ellipses over the laser image."""
+def _draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
     for axis, run, form in _both(canvas, found):
         draw_cloud(axis, found.image)
         axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="GPS")
@@ -318,8 +284,7 @@ def _templates(axis: Axes, run: CarParkRun) -> None:
     axis.plot(*run.held.placed.T, ".", color="#111111", markersize=1.5, label="templates", zorder=3)
 
 
-def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
-    """Templates and their axes."""
+def _draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
     for axis, run, form in _both(canvas, found):
         _templates(axis, run)
         draw_lines(axis, axes_at(run.held.place, 3.0), EKF_COLOUR, "axes", 1.0, 4)
@@ -327,8 +292,7 @@ def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
     canvas.axes[0].legend(fontsize=8, loc="lower left")
 
 
-def draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
-    """A template on a scan, half of the others being laid better."""
+def _draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
     left, right = canvas.subplots(1, 2)
     for axis, run, form in zip((left, right), (found.published, found.joined), _FORMS, strict=True):
         one = run.shown
@@ -340,23 +304,23 @@ def draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
         chart(axis, title, "ahead [m]", "left [m]")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N5.10", title="Car park, Scan-SLAM: path, templates and laser image",
         says="Six landmarks were incorporated. The results are not as accurate as those of feature "
         "SLAM, since segments sometimes tell too little; templates with more information would "
         "improve them." + OTHER_LOG,
-        experiment=EXPERIMENT, draw=draw_5_10, claims=claims_5_10, size=(13.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_10, claims=_claims_5_10, size=(13.0, 7.0),
     ),
     Figure(
         name="N5.11", title="Car park, Scan-SLAM: map of the landmarks",
         says="The landmark covariances are consistent with the errors, so uncertainty "
         "remains." + OTHER_LOG,
-        experiment=EXPERIMENT, draw=draw_5_11, claims=claims_5_11, size=(13.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_11, claims=_claims_5_11, size=(13.0, 7.0),
     ),
     Figure(
         name="N5.12", title="Car park, Scan-SLAM: alignment of a template with a scan",
         says="Scan matching lays the landmark's template on the whole new scan." + OTHER_LOG,
-        experiment=EXPERIMENT, draw=draw_5_12, claims=claims_5_12, size=(13.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_12, claims=_claims_5_12, size=(13.0, 7.0),
     ),
 )  # fmt: skip

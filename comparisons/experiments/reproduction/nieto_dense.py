@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial, wraps
-from typing import Any, Protocol, TypeVar
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,21 +27,11 @@ from comparisons.config import MapConfig
 from comparisons.documented.row import Preset
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
 from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    Why,
-    at_least,
-    at_most,
-    ours,
-    within,
-)
-from comparisons.experiments.reproduction.measures import ellipses_of, occupied, true_segments
-from comparisons.experiments.reproduction.watched_run import truth_in_order
+from comparisons.experiments.reproduction.drives import true_surroundings, truth_in_order
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.measures import ellipses_of, mean, median, occupied
 from comparisons.extensions.dense_maps.accuracy import (
     OCCUPIED,
     SurfaceError,
@@ -68,7 +58,6 @@ from comparisons.statistics import mean_band, normalise
 from ekf_reference.core.trace import Trace
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
-from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.sensor_model import log_odds
@@ -96,16 +85,11 @@ class ClosedMap:
     @property
     def segment(self) -> Array:
         """(S, 4) true surfaces [m]."""
-        return true_segments(self.mapping.log)
+        return true_surroundings(self.mapping.log)[1]
 
     def error_before(self, layer: str) -> SurfaceError:
         """Of a layer, before the closing."""
         return surface_error(self.before.layers[layer], self.segment)
-
-    @property
-    def ellipses(self) -> Ellipses:
-        """Of the sum of Gaussians."""
-        return ellipses_of(self.mapping)
 
     def thirds(self, east: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which of (N,) lie in the left and in the right third of the true path."""
@@ -198,14 +182,10 @@ def _maps(experiment: ScanExperiment, layers: tuple[Layer, ...], sources: Source
         logs.append(simulate(np.random.default_rng(len(logs)), experiment))
         ours.append(map_log(logs[-1], _config(name, "recommended", layers=layers)))
     literal = [map_log(log, _config(name, "nieto-2005", layers=layers)) for log in logs]
-    reported = f"{name} with {MORE}, {len(ours)} drives from seed 0, {{}} of them corrected at once"
-    found = [_of_drives(reported, drives) for drives in (ours, literal)]
-    return replace(found[0], literal=found[1])
-
-
-def _of_drives(reported: str, drives: list[DenseMapping]) -> Maps:
-    closed = _closed(drives)
-    return Maps(reported.format(len(closed)), closed, tuple(drives))
+    reported = f"{name} with {MORE}, {len(ours)} drives from seed 0"
+    corrected = f"{len(_closed(ours))} of them corrected at once"
+    thesis = Maps(reported, _closed(literal), tuple(literal))
+    return Maps(f"{reported}, {corrected}", _closed(ours), tuple(ours), thesis)
 
 
 def _closed(drives: list[DenseMapping]) -> tuple[ClosedMap, ...]:
@@ -238,7 +218,7 @@ def rounds(sources: Sources) -> Rounds:
 
 
 def _rounds(log: Log, preset: Preset) -> Rounds:
-    segment, true = _segment(log), truth_in_order(log)[1]
+    segment, true = true_surroundings(log)[1], truth_in_order(log)[1]
     settings = _config(log.name, preset, layers=("occupancy", "particles", "points"))
     config = settings.extensions["dense_maps"]
     if not isinstance(config, DenseMapsConfig):
@@ -286,7 +266,7 @@ def coarsened(sources: Sources) -> Coarsened:
 
 
 def _coarsened(log: Log, preset: Preset) -> Coarsened:
-    segment = _segment(log)
+    segment = true_surroundings(log)[1]
     maps = [
         map_log(log, _config(log.name, preset, layers=("occupancy",), coarsening=rule))
         for rule in (Coarsening(), None)
@@ -321,13 +301,6 @@ def _grid(dense: DenseMap) -> OccupancyGrid:
     if not isinstance(layer, OccupancyGrid):
         raise TypeError(f"{type(layer).__name__} is no OccupancyGrid")
     return layer
-
-
-def _segment(log: Log) -> Array:
-    surfaces = log.truth.surfaces
-    if surfaces is None:
-        raise InputError(f"{log.name}: true surfaces are needed")
-    return surfaces.segment
 
 
 RAW = Experiment("section 3.9", raw_maps)
@@ -368,14 +341,7 @@ THIN_M = 0.5
 _OBJECT, _BESIDE_M, _STEP_M = 0, 1.0, 0.1
 
 
-class _Twice(Protocol):
-    """What an experiment leaves, with the same by the thesis' settings."""
-
-    @property
-    def literal(self) -> _Twice | None: ...
-
-
-D = TypeVar("D", bound=_Twice)
+D = TypeVar("D", Maps, Rounds, Coarsened)
 
 
 def _also_literally(
@@ -389,23 +355,13 @@ def _also_literally(
             yield from claims(found)
             if found.literal is None:
                 return
-            for number, claim in enumerate(claims(found.literal)):  # type: ignore[arg-type]
+            for number, claim in enumerate(claims(found.literal)):
                 again = replace(claim, text=LITERALLY + claim.text)
                 yield again.explained(why[number]) if number in why else again
 
         return both
 
     return twice
-
-
-def _mean(values: Array | list[float]) -> float:
-    """NaN of none."""
-    return float(np.mean(values)) if len(values) else float("nan")
-
-
-def _median(values: Array | list[float]) -> float:
-    """NaN of none."""
-    return float(np.median(values)) if len(values) else float("nan")
 
 
 def _p95_on_true_landmarks(m: DenseMapping, layer: str) -> float:
@@ -419,58 +375,52 @@ def _p95_on_true_landmarks(m: DenseMapping, layer: str) -> float:
     else:
         held = m.layers[layer]
     move = rigid_motion(m.dense.landmark, truth_in_order(m.log)[1])
-    return error_of_points(move(occupied(held)), true_segments(m.log)).p95_m
+    return error_of_points(move(occupied(held)), true_surroundings(m.log)[1]).p95_m
 
 
-def _after_closing(then: Array, now: Array, best: list[float]) -> str:
-    """Why a closing does not correct more. then, now, best: 95 % of the distances [m] by drive."""
-    return (
-        f"{_median(then):.2f} m before and {_median(now):.2f} m after; with the landmarks moved "
-        f"onto the true ones {_median(best):.2f} m are left of it, the noise of the returns, which "
+def _corrected(text: str, maps: Maps, layer: str) -> Claims:
+    """What a closing takes away of a layer's distances to the surfaces. text: of the claim."""
+    then = np.array([m.error_before(layer).p95_m for m in maps.closed])
+    now = np.array([m.mapping.errors[layer].p95_m for m in maps.closed])
+    best = [_p95_on_true_landmarks(m.mapping, layer) for m in maps.closed]
+    why = ours(
+        f"{median(then):.2f} m before and {median(now):.2f} m after; with the landmarks moved "
+        f"onto the true ones {median(best):.2f} m are left of it, the noise of the returns, which "
         "no closing corrects"
     )
+    yield at_most(text, median(now / then), 0.5, why=why, own=True)
 
 
 @_also_literally({2: _FEW})
-def claims_3_17(maps: Maps) -> Claims:
-    """The map errs most on the left, and closing the loop corrects all of it."""
-    then = np.array([m.error_before("points").p95_m for m in maps.closed])
-    now = np.array([m.mapping.errors["points"].p95_m for m in maps.closed])
-    best = [_p95_on_true_landmarks(m.mapping, "points") for m in maps.closed]
+def _claims_3_17(maps: Maps) -> Claims:
     tallies = [m.dense.dense.tally for m in maps.all_drives]
     left, right = [], []
     for m in maps.closed:
         point = occupied(m.before.layers["points"])
         distance = distance_to_segments(point, m.segment)
         west, east = m.thirds(point[:, 0])
-        left.append(_mean(distance[west]))
-        right.append(_mean(distance[east]))
-    yield at_least(
+        left.append(mean(distance[west]))
+        right.append(mean(distance[east]))
+    text = (
         "before the closing the dense map errs most at the left (mean distance to the "
-        "surfaces, left third over right third)",
-        _mean(left) / _mean(right),
-        1.0,
+        "surfaces, left third over right third)"
     )
-    yield at_most(
+    yield at_least(text, mean(left) / mean(right), 1.0)
+    text = (
         "closing the loop corrects the whole dense map by a large part (95 % of the distances "
-        "to the surfaces, after over before, median of drives)",
-        _median(now / then),
-        0.5,
-        why=ours(_after_closing(then, now, best)),
-        own=True,
+        "to the surfaces, after over before, median of drives)"
     )
-    yield at_least(
+    yield from _corrected(text, maps, "points")
+    covered = sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies)
+    text = (
         "regions cover the area (share of the returns that found a region, at once or late, "
-        "all drives)",
-        sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies),
-        0.5,
-        own=True,
+        "all drives)"
     )
+    yield at_least(text, covered, 0.5, own=True)
 
 
 @_also_literally({})
-def claims_3_18(maps: Maps) -> Claims:
-    """Objects have the error of the landmarks around them."""
+def _claims_3_18(maps: Maps) -> Claims:
     ratios = []
     for m in maps.closed:
         point = occupied(m.before.layers["points"])
@@ -479,18 +429,15 @@ def claims_3_18(maps: Maps) -> Claims:
         move = rigid_motion(m.before.landmark[mine], m.true[: len(mine)][mine])
         raw, moved = (error_of_points(p, m.segment).median_m for p in (there, move(there)))
         ratios.append(moved / raw)
-    yield at_most(
+    text = (
         "at the left, objects and landmarks share one shift and rotation (median distance to "
         "the surfaces once the landmarks are moved onto the true ones, over that before; "
-        "median of drives)",
-        _median(ratios),
-        0.5,
-        own=True,
+        "median of drives)"
     )
+    yield at_most(text, median(ratios), 0.5, own=True)
 
 
-def claims_4_2(maps: Maps) -> Claims:
-    """Large noise, and still a map that is as good as it says."""
+def _claims_4_2(maps: Maps) -> Claims:
     squared, rms = [], []
     for mapping in maps.all_drives:
         e, true = mapping.ekf.estimate, truth_in_order(mapping.log)[1]
@@ -501,103 +448,73 @@ def claims_4_2(maps: Maps) -> Claims:
         far = int(np.argmax(np.linalg.norm(true - e.pose[0, :2], axis=1)))
         squared.append(errors.squared[far])
         rms.append(np.sqrt(np.mean(np.sum(np.square(e.landmark - true), axis=1))))
-    yield within(
+    text = (
         "the landmarks' errors are as large as stated (mean NEES of the farthest landmark over "
-        "drives; limits: its 95 % band)",
-        np.mean(squared),
-        mean_band(len(squared), 2),
+        "drives; limits: its 95 % band)"
     )
-    yield at_most(
-        "with the loop closed the landmarks' error is small (median of the drives' RMS)",
-        np.median(rms),
-        0.5,
-        "m",
-        own=True,
-    )
+    yield within(text, np.mean(squared), mean_band(len(squared), 2))
+    text = "with the loop closed the landmarks' error is small (median of the drives' RMS)"
+    yield at_most(text, np.median(rms), 0.5, "m", own=True)
 
 
 @_also_literally({0: _FEW_CELLS})
-def claims_4_3(maps: Maps) -> Claims:
-    """One grid keeps its errors, a dense map is corrected along with the landmarks."""
+def _claims_4_3(maps: Maps) -> Claims:
     dense = np.array([m.errors["occupancy"].p95_m for m in maps.all_drives])
     classic = np.array([m.errors["classic"].p95_m for m in maps.all_drives])
-    then = np.array([m.error_before("occupancy").p95_m for m in maps.closed])
-    now = np.array([m.mapping.errors["occupancy"].p95_m for m in maps.closed])
-    best = [_p95_on_true_landmarks(m.mapping, "occupancy") for m in maps.closed]
-    own, other = np.array(
-        [
-            [_p95_on_true_landmarks(m, layer) for layer in ("occupancy", "classic")]
-            for m in maps.all_drives
-        ]
-    ).T
-    yield at_most(
+    own, other = (
+        np.array([_p95_on_true_landmarks(m, layer) for m in maps.all_drives])
+        for layer in ("occupancy", "classic")
+    )
+    why = ours(
+        f"so it is in {np.sum(dense <= classic)} of {len(dense)} drives; where the filter ends "
+        "with a map that is turned as a whole, both are off by that"
+    )
+    text = (
         "DenseSLAM's grid is more accurate than one grid on every drive (95 % of the distances "
-        "to the surfaces, largest ratio)",
-        np.max(dense / classic),
-        1.0,
-        why=ours(
-            f"so it is in {np.sum(dense <= classic)} of {len(dense)} drives; where the filter ends "
-            "with a map that is turned as a whole, both are off by that"
-        ),
+        "to the surfaces, largest ratio)"
     )
-    yield at_most(
+    yield at_most(text, np.max(dense / classic), 1.0, why=why)
+    why = ours(
+        f"{median(own):.2f} and {median(other):.2f} m; the noise of the returns alone is 1 "
+        "degree, or 0.44 m at 25 m"
+    )
+    text = (
         "it fits the landmark map, where one grid is misshapen (the same once the landmarks "
-        "are moved onto the true ones, median ratio)",
-        np.median(own / other),
-        0.5,
-        why=ours(
-            f"{_median(own):.2f} and {_median(other):.2f} m; the noise of the returns alone is 1 "
-            "degree, or 0.44 m at 25 m"
-        ),
-        own=True,
+        "are moved onto the true ones, median ratio)"
     )
-    yield at_most(
-        "because the closing corrects it (95 %, after over before, median of drives)",
-        _median(now / then),
-        0.5,
-        why=ours(_after_closing(then, now, best)),
-        own=True,
+    yield at_most(text, np.median(own / other), 0.5, why=why, own=True)
+    text = "because the closing corrects it (95 %, after over before, median of drives)"
+    yield from _corrected(text, maps, "occupancy")
+    why = ours(
+        f"both carry the error of the landmarks themselves: {median(dense):.2f} and "
+        f"{median(classic):.2f} m, and {median(own):.2f} and {median(other):.2f} m once the "
+        "landmarks are moved onto the true ones"
     )
-    yield at_most(
-        "it is much more accurate on the whole (95 % of the distances, median ratio)",
-        np.median(dense / classic),
-        0.5,
-        why=ours(
-            f"both carry the error of the landmarks themselves: {_median(dense):.2f} and "
-            f"{_median(classic):.2f} m, and {_median(own):.2f} and {_median(other):.2f} m once the "
-            "landmarks are moved onto the true ones"
-        ),
-        own=True,
-    )
+    text = "it is much more accurate on the whole (95 % of the distances, median ratio)"
+    yield at_most(text, np.median(dense / classic), 0.5, why=why, own=True)
 
 
 @_also_literally({})
-def claims_4_4(found: Rounds) -> Claims:
-    """Walls in one grid are wider, and shapes are lost."""
+def _claims_4_4(found: Rounds) -> Claims:
     first, last = found.each[0], found.each[-1]
     at_first, in_the_end = (_misshapen(r, found.segment) for r in (first, last))
-    yield at_least(
-        "walls are wider in one grid (area of the occupied cells, over DenseSLAM's)",
-        last.classic_m2 / last.dense_m2,
-        1.0,
-        why=ours(
-            f"{last.classic_m2:.0f} and {last.dense_m2:.0f} m^2, after the first round "
-            f"{first.classic_m2:.0f} and {first.dense_m2:.0f}: occupancy is bounded "
-            "(dense_maps.confidence), so that later scans free what one grid has drawn wrongly; "
-            "without a bound 281 and 275 m^2"
-        ),
+    why = ours(
+        f"{last.classic_m2:.0f} and {last.dense_m2:.0f} m^2, after the first round "
+        f"{first.classic_m2:.0f} and {first.dense_m2:.0f}: occupancy is bounded "
+        "(dense_maps.confidence), so that later scans free what one grid has drawn wrongly; "
+        "without a bound 281 and 275 m^2"
     )
-    yield at_most(
+    text = "walls are wider in one grid (area of the occupied cells, over DenseSLAM's)"
+    yield at_least(text, last.classic_m2 / last.dense_m2, 1.0, why=why)
+    why = ours(
+        f"after the first round {at_first:.2f}; after so many with corrected poses one grid "
+        "has been drawn over"
+    )
+    text = (
         f"DenseSLAM's objects keep their shape (share of occupied cells more than {_FAR_M} m "
-        "from any surface, landmarks moved onto the true ones, over one grid's)",
-        in_the_end,
-        0.5,
-        why=ours(
-            f"after the first round {at_first:.2f}; after so many with corrected poses one grid "
-            "has been drawn over"
-        ),
-        own=True,
+        "from any surface, landmarks moved onto the true ones, over one grid's)"
     )
+    yield at_most(text, in_the_end, 0.5, why=why, own=True)
 
 
 def _misshapen(r: Round, segment: Array) -> float:
@@ -611,88 +528,61 @@ def _misshapen(r: Round, segment: Array) -> float:
 
 
 @_also_literally({})
-def claims_4_5(found: Rounds) -> Claims:
-    """One grid is never corrected."""
+def _claims_4_5(found: Rounds) -> Claims:
     first, last = found.each[0], found.each[-1]
     third = next(r for r in found.each if r.number == _THIRD)
-    yield at_least(
+    why = ours(
+        f"the filter's map is off as a whole: 95 % of DenseSLAM's cells are within "
+        f"{last.dense_error.p95_m:.2f} m in the last round, of one grid's within "
+        f"{last.classic_error.p95_m:.2f}, so the distances hardly tell what was corrected"
+    )
+    text = (
         f"one grid is not corrected in {last.number} rounds (95 % of the distances to the "
-        "surfaces, last round over first)",
-        last.classic_error.p95_m / first.classic_error.p95_m,
-        1.0,
-        why=ours(
-            f"the filter's map is off as a whole: 95 % of DenseSLAM's cells are within "
-            f"{last.dense_error.p95_m:.2f} m in the last round, of one grid's within "
-            f"{last.classic_error.p95_m:.2f}, so the distances hardly tell what was corrected"
-        ),
+        "surfaces, last round over first)"
     )
-    yield at_least(
-        "objects appear a second time in later rounds (occupied cells, third round over first)",
-        third.classic_error.occupied / first.classic_error.occupied,
-        1.0,
-    )
+    yield at_least(text, last.classic_error.p95_m / first.classic_error.p95_m, 1.0, why=why)
+    text = "objects appear a second time in later rounds (occupied cells, third round over first)"
+    yield at_least(text, third.classic_error.occupied / first.classic_error.occupied, 1.0)
 
 
 @_also_literally({})
-def claims_4_6(found: Coarsened) -> Claims:
-    """Almost empty regions get larger cells at no loss."""
+def _claims_4_6(found: Coarsened) -> Claims:
     coarse = int(np.count_nonzero(found.cell_m > _COARSE_M))
     why = ours(
         f"cells that nobody has seen are not empty; the emptiest region has {found.emptiest:.0%} "
         "of its cells below 0.2, and 99 % are asked for"
     )
     yield at_least("almost empty regions get cells of 0.5 m (number of them)", coarse, 1, why=why)
-    yield at_most(
-        "fewer cells are kept (over those of one size)",
-        found.cells / found.cells_even if coarse else np.nan,
-        1.0,
-        why=why,
+    text = "fewer cells are kept (over those of one size)"
+    yield at_most(text, found.cells / found.cells_even if coarse else np.nan, 1.0, why=why)
+    ratio = found.error.p95_m / found.error_even.p95_m if coarse else np.nan
+    text = (
+        "the map stays as accurate (95 % of the distances to the surfaces, over that with one size)"
     )
-    yield at_most(
-        "the map stays as accurate (95 % of the distances to the surfaces, over that with one "
-        "size)",
-        found.error.p95_m / found.error_even.p95_m if coarse else np.nan,
-        1.05,
-        why=why,
-        own=True,
-    )
+    yield at_most(text, ratio, 1.05, why=why, own=True)
 
 
 @_also_literally({0: _TAILS, 1: _TAILS})
-def claims_4_10(found: Rounds) -> Claims:
-    """Most particles are likely occupied, and they are where the raw returns are."""
+def _claims_4_10(found: Rounds) -> Claims:
     weight = found.particles.occupancy
     particles, points = (surface_error(s, found.segment) for s in (found.particles, found.points))
-    yield at_least(
-        "87 % of the particles weigh more than 0.8", (weight > OCCUPIED).mean(), 0.87, why=_THINNED
-    )
-    yield at_most(
-        "2 % weigh less than 0.5",
-        (weight < 0.5).mean(),
-        0.02,
-        why=_THINNED,
-    )
-    yield at_most(
+    text = "87 % of the particles weigh more than 0.8"
+    yield at_least(text, (weight > OCCUPIED).mean(), 0.87, why=_THINNED)
+    text = "2 % weigh less than 0.5"
+    yield at_most(text, (weight < 0.5).mean(), 0.02, why=_THINNED)
+    text = (
         "the result is much the same as with raw returns (median distance to the surfaces, "
-        "over theirs)",
-        particles.median_m / points.median_m,
-        1.1,
-        own=True,
+        "over theirs)"
     )
+    yield at_most(text, particles.median_m / points.median_m, 1.1, own=True)
 
 
 @_also_literally({})
-def claims_4_12(maps: Maps) -> Claims:
-    """A sum of Gaussians follows the surfaces as raw returns do."""
+def _claims_4_12(maps: Maps) -> Claims:
     ratio = [m.errors["sog"].median_m / m.errors["points"].median_m for m in maps.all_drives]
     count = [m.errors["sog"].occupied / m.errors["points"].occupied for m in maps.all_drives]
-    yield at_most(
-        "Gaussians represent the surfaces (median distance, over that of raw returns)",
-        np.median(ratio),
-        1.1,
-        why=_MERGED,
-        own=True,
-    )
+    text = "Gaussians represent the surfaces (median distance, over that of raw returns)"
+    yield at_most(text, np.median(ratio), 1.1, why=_MERGED, own=True)
     yield at_most("with fewer of them than of points kept (ratio)", float(np.median(count)), 1.0)
 
 
@@ -705,8 +595,7 @@ def of_one_object(mapping: DenseMapping) -> SumOfGaussians:
 
 
 @_also_literally({})
-def claims_4_13(maps: Maps) -> Claims:
-    """Fewer Gaussians are nearly the same surface."""
+def _claims_4_13(maps: Maps) -> Claims:
     corner, fewer, alike = occupancy().world.outline[_OBJECT], [], []
     box = zip(corner.min(axis=0) - _BESIDE_M, corner.max(axis=0) + _BESIDE_M, strict=True)
     place = np.stack(np.meshgrid(*(np.arange(a, b, _STEP_M) for a, b in box)), -1).reshape(-1, 2)
@@ -725,8 +614,7 @@ def claims_4_13(maps: Maps) -> Claims:
 
 
 @_also_literally({})
-def claims_4_16(maps: Maps) -> Claims:
-    """Three layers of one run tell of the same surfaces."""
+def _claims_4_16(maps: Maps) -> Claims:
     reach = _CELLS * maps.all_drives[0].dense.options.resolution_m
     cells = [m.layers["occupancy"] for m in maps.all_drives]
     for name, key in (("particles", "particles"), ("Gaussians", "sog")):
@@ -735,13 +623,11 @@ def claims_4_16(maps: Maps) -> Claims:
             near_share(s.point[s.occupancy > _LEAST], cell.point[cell.occupancy > _LEAST], reach)
             for s, cell in zip(held, cells, strict=True)
         ]
-        yield at_least(
+        text = (
             f"{name} and occupied cells are of the same surfaces (share of the former within "
-            f"{_CELLS:g} cells of the latter, mean of drives)",
-            np.mean(shares),
-            0.9,
-            own=True,
+            f"{_CELLS:g} cells of the latter, mean of drives)"
         )
+        yield at_least(text, np.mean(shares), 0.9, own=True)
 
 
 def _map(
@@ -755,17 +641,16 @@ def _map(
     plan(axis, title)
 
 
-def _before_and_after(canvas: Canvas, maps: Maps, layer: str) -> None:
-    """A layer before and after the closing."""
+def _draw_3_17(canvas: Canvas, maps: Maps) -> None:
     m = maps.closed[0]
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     b, now = m.before, m.mapping
     title = f"before the loop closes, {b.time_s:.0f} s"
-    _map(left, m, b.layers[layer], b.triangle, b.landmark, title)
-    _map(right, m, now.layers[layer], now.placed.triangle, now.dense.landmark, "after")
+    _map(left, m, b.layers["points"], b.triangle, b.landmark, title)
+    _map(right, m, now.layers["points"], now.placed.triangle, now.dense.landmark, "after")
 
 
-def draw_3_18(canvas: Canvas, maps: Maps) -> None:
+def _draw_3_18(canvas: Canvas, maps: Maps) -> None:
     """The left top before."""
     m = maps.closed[0]
     axis = canvas.add_subplot()
@@ -775,8 +660,7 @@ def draw_3_18(canvas: Canvas, maps: Maps) -> None:
     axis.set(xlim=(west - 10.0, west + 40.0), ylim=(north - 45.0, north + 8.0))
 
 
-def draw_4_2(canvas: Canvas, maps: Maps) -> None:
-    """The feature map among the objects."""
+def _draw_4_2(canvas: Canvas, maps: Maps) -> None:
     mapping = maps.closed[0].mapping
     axis, e = canvas.add_subplot(), mapping.ekf.estimate
     poses, true = truth_in_order(mapping.log)
@@ -786,8 +670,7 @@ def draw_4_2(canvas: Canvas, maps: Maps) -> None:
     plan(axis, "after the loop", legend="best")
 
 
-def draw_4_3(canvas: Canvas, maps: Maps) -> None:
-    """One grid left, DenseSLAM's right."""
+def _draw_4_3(canvas: Canvas, maps: Maps) -> None:
     m, (left, right) = maps.closed[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     now = m.mapping
     none = np.empty((0, 3, 2))
@@ -796,8 +679,7 @@ def draw_4_3(canvas: Canvas, maps: Maps) -> None:
     _map(right, m, held, now.placed.triangle, now.dense.landmark, "(b) DenseSLAM")
 
 
-def draw_4_4(canvas: Canvas, found: Rounds) -> None:
-    """All cells by their occupancy."""
+def _draw_4_4(canvas: Canvas, found: Rounds) -> None:
     last = found.each[-1]
     axes = canvas.subplots(1, 2, sharex=True, sharey=True)
     for axis, held, title in (
@@ -813,8 +695,7 @@ def draw_4_4(canvas: Canvas, found: Rounds) -> None:
     canvas.colorbar(drawn, ax=list(axes), label="occupancy", shrink=0.8)
 
 
-def draw_4_5(canvas: Canvas, found: Rounds) -> None:
-    """One grid after every round."""
+def _draw_4_5(canvas: Canvas, found: Rounds) -> None:
     axes = canvas.subplots(2, 3, sharex=True, sharey=True).ravel()
     for axis, r in zip(axes, found.each, strict=True):
         draw_surfaces(axis, found.segment)
@@ -822,8 +703,7 @@ def draw_4_5(canvas: Canvas, found: Rounds) -> None:
         plan(axis, f"round {r.number}: 95 % within {r.classic_error.p95_m:.2f} m")
 
 
-def draw_4_6(canvas: Canvas, found: Coarsened) -> None:
-    """Regions by the size of their cells."""
+def _draw_4_6(canvas: Canvas, found: Coarsened) -> None:
     axis = canvas.add_subplot()
     drawn = draw_error_layer(axis, found.triangle, found.cell_m)
     drawn.set_clim(0.2, 0.5)
@@ -833,8 +713,7 @@ def draw_4_6(canvas: Canvas, found: Coarsened) -> None:
     plan(axis, "size of cells")
 
 
-def draw_4_10(canvas: Canvas, found: Rounds) -> None:
-    """Particles, and their weights."""
+def _draw_4_10(canvas: Canvas, found: Rounds) -> None:
     left, right = canvas.subplots(1, 2, width_ratios=(1.3, 1.0))
     draw_surfaces(left, found.segment)
     draw_occupied(left, found.particles)
@@ -844,18 +723,16 @@ def draw_4_10(canvas: Canvas, found: Rounds) -> None:
     right.set_title("weights of all", fontsize=10)
 
 
-def draw_4_12(canvas: Canvas, maps: Maps) -> None:
-    """One-sigma ellipses of all Gaussians."""
+def _draw_4_12(canvas: Canvas, maps: Maps) -> None:
     m, axis = maps.closed[0], canvas.add_subplot()
-    held = m.ellipses
+    held = ellipses_of(m.mapping)
     draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 12), SMOOTHER_COLOUR, width=0.3)
     draw_surfaces(axis, m.segment)
     axis.autoscale_view()
     plan(axis, "Gaussians, 1 sigma")
 
 
-def draw_4_13(canvas: Canvas, maps: Maps) -> None:
-    """All of one object, and fewer."""
+def _draw_4_13(canvas: Canvas, maps: Maps) -> None:
     m, axes = maps.closed[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     every = of_one_object(m.mapping)
     some = every.thinned(THIN_M)
@@ -866,8 +743,7 @@ def draw_4_13(canvas: Canvas, maps: Maps) -> None:
     frame(axes[0], every.mean, 1.0)
 
 
-def draw_4_16(canvas: Canvas, maps: Maps) -> None:
-    """The layers side by side."""
+def _draw_4_16(canvas: Canvas, maps: Maps) -> None:
     m, axes = maps.closed[0], canvas.subplots(1, 3, sharex=True, sharey=True)
     for axis, name in zip(axes, ("occupancy", "particles", "sog"), strict=True):
         draw_regions(axis, m.mapping.placed.triangle)
@@ -875,46 +751,45 @@ def draw_4_16(canvas: Canvas, maps: Maps) -> None:
         plan(axis, name)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.17", title="Raw returns in local regions, before and after a loop closes",
         says="The dense map errs most at the left, and is corrected together with the landmarks "
         "when the loop closes.",
-        experiment=RAW, draw=partial(_before_and_after, layer="points"),
-        claims=claims_3_17, size=(12.0, 6.0),
+        experiment=RAW, draw=_draw_3_17, claims=_claims_3_17, size=(12.0, 6.0),
     ),
     Figure(
         name="N3.18", title="Close-up: objects and landmarks err alike",
         says="Before the closing the objects carry the same rotation and shift as the landmarks "
         "around them: their errors are highly correlated.",
-        experiment=RAW, draw=draw_3_18, claims=claims_3_18, size=(7.0, 7.0),
+        experiment=RAW, draw=_draw_3_18, claims=_claims_3_18, size=(7.0, 7.0),
     ),
     Figure(
         name="N4.2", title="Feature SLAM under large noise",
         says="Although noise was set high, the landmark map is close to the truth once the loop is "
         "closed, and as good as its ellipses say.",
-        experiment=LAYERED, draw=draw_4_2, claims=claims_4_2, size=(8.0, 7.0),
+        experiment=LAYERED, draw=_draw_4_2, claims=_claims_4_2, size=(8.0, 7.0),
     ),
     Figure(
         name="N4.3", title="One occupancy grid, and DenseSLAM's",
         says="After the first loop objects are misshapen in one grid in the world's frame, while "
         "DenseSLAM's grids are corrected along with the landmarks.",
-        experiment=LAYERED, draw=draw_4_3, claims=claims_4_3, size=(12.0, 6.0),
+        experiment=LAYERED, draw=_draw_4_3, claims=_claims_4_3, size=(12.0, 6.0),
     ),
     Figure(
         name="N4.4", title="All cells of both, after ten rounds",
         says="One grid has wider walls and misshapen objects; DenseSLAM's keep their shape.",
-        experiment=ROUNDED, draw=draw_4_4, claims=claims_4_4, size=(12.0, 6.0),
+        experiment=ROUNDED, draw=_draw_4_4, claims=_claims_4_4, size=(12.0, 6.0),
     ),
     Figure(
         name="N4.5", title="One occupancy grid, round after round",
         says="One grid is never corrected: later rounds draw the same objects in other places.",
-        experiment=ROUNDED, draw=draw_4_5, claims=claims_4_5, size=(13.0, 8.5),
+        experiment=ROUNDED, draw=_draw_4_5, claims=_claims_4_5, size=(13.0, 8.5),
     ),
     Figure(
         name="N4.6", title="Larger cells in almost empty regions",
         says="Regions that hold hardly anything can be kept at a lower resolution.",
-        experiment=COARSENED, draw=draw_4_6, claims=claims_4_6, size=(8.5, 7.0),
+        experiment=COARSENED, draw=_draw_4_6, claims=_claims_4_6, size=(8.5, 7.0),
     ),
     Figure(
         name="N4.10", title="Particles and their weights",
@@ -923,22 +798,22 @@ FIGURES: tuple[AnyFigure, ...] = (
         "50,000 particles; with all kept ours has 22,000 after one round, 52,000 after ten. It "
         "does not say that particles which have become free are dropped: with those below 0.3 "
         "kept, too, 84 % weigh more than 0.8 and 12 % less than 0.5 by its settings.",
-        experiment=ROUNDED, draw=draw_4_10, claims=claims_4_10, size=(12.0, 5.5),
+        experiment=ROUNDED, draw=_draw_4_10, claims=_claims_4_10, size=(12.0, 5.5),
     ),
     Figure(
         name="N4.12", title="A sum of Gaussians",
         says="Gaussians, fused with the nearest return, represent the objects' surfaces.",
-        experiment=LAYERED, draw=draw_4_12, claims=claims_4_12, size=(8.0, 7.0),
+        experiment=LAYERED, draw=_draw_4_12, claims=_claims_4_12, size=(8.0, 7.0),
     ),
     Figure(
         name="N4.13", title="Gaussians of one object",
         says="The sum could be subsampled and still be a representation of similar quality.",
-        experiment=LAYERED, draw=draw_4_13, claims=claims_4_13, size=(12.0, 5.6),
+        experiment=LAYERED, draw=_draw_4_13, claims=_claims_4_13, size=(12.0, 5.6),
     ),
     Figure(
         name="N4.16", title="Three layers of one run",
         says="Different layers of the same data are kept at the same time, each in its own way "
         "(there the car park, here the simulation).",
-        experiment=LAYERED, draw=draw_4_16, claims=claims_4_16, size=(15.0, 5.4),
+        experiment=LAYERED, draw=_draw_4_16, claims=_claims_4_16, size=(15.0, 5.4),
     ),
 )  # fmt: skip

@@ -19,17 +19,10 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess_trajectory, rigid_motion
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    within,
-)
+from comparisons.experiments.reproduction.interface import Experiment, Figure
+from comparisons.experiments.reproduction.measures import at_gps
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
@@ -101,13 +94,8 @@ def _off_gps_m(log: Log, time_s: Array, pose: Array) -> float:
     return np.nan if median is None else median
 
 
-def clouds(sources: Sources) -> Clouds:
-    """Run FastSLAM 2.0 on the detections."""
-    return clouds_of(sources.log(_PARK), PARTICLES)
-
-
-def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
-    """Run it on a log with positions, which judge it."""
+def clouds(log: Log, particles: tuple[int, ...] = PARTICLES) -> Clouds:
+    """Run FastSLAM 2.0 on the detections of a log with positions, which judge it."""
     positions = log.positions
     if positions is None:
         raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
@@ -117,27 +105,22 @@ def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
 
 
 def _run(log: Log, particles: int) -> CloudRun:
-    timeline, positions = build_timeline(log), log.positions
-    if positions is None:
-        raise TypeError("no positions")
+    timeline = build_timeline(log)
     slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
-    path, time_s = cloud.mean[:, :2], timeline.epoch_time_s
-    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
-    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in path.T])
-    move = rigid_motion(at, positions.position_m[inside])
+    time_s = timeline.epoch_time_s
+    move = rigid_motion(*at_gps(log, time_s, cloud.mean))
     mixture = slam.mixture_map()
     return CloudRun(
         particles=particles,
         median_m=_off_gps_m(log, time_s, cloud.mean),
         distinct=slam.history.distinct(),
-        path=move(path),
+        path=move(cloud.mean[:, :2]),
         landmark=move(mixture.mean[mixture.share > _KNOWN]),
     )
 
 
-def claims_2_6(found: FinalMap) -> Claims:
-    """The trajectory is right, and a sparse map of trees explains what was detected."""
+def _claims_2_6(found: FinalMap) -> Claims:
     text = "the estimated trajectory follows the vehicle's (median distance from GPS, aligned)"
     yield at_most(text, found.median_m, 2.0, "m", own=True)
     text = "the map is of the trees that are detected (share of the detections that it explains)"
@@ -146,43 +129,33 @@ def claims_2_6(found: FinalMap) -> Claims:
     yield at_most(text, len(found.landmark) / len(found.used), 0.01, own=True)
 
 
-def claims(found: Clouds) -> Claims:
-    """The trajectory is right, and particles are lost."""
+def _claims_2_13(found: Clouds) -> Claims:
     most = found.runs[-1]
-    yield at_most(
+    text = (
         f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
-        "distance from GPS after alignment; the figure gives no number)",
-        most.median_m,
-        2.0,
-        "m",
-        own=True,
+        "distance from GPS after alignment; the figure gives no number)"
     )
-    yield within(
+    yield at_most(text, most.median_m, 2.0, "m", own=True)
+    text = (
         "the landmarks' estimates are the park's trees (number that most of the weight has; "
-        f"limits: a factor of 2 either way from the {TREES} of EKF-SLAM on the same detections)",
-        len(most.landmark),
-        (0.5 * TREES, 2.0 * TREES),
-        own=True,
+        f"limits: a factor of 2 either way from the {TREES} of EKF-SLAM on the same detections)"
     )
-    yield at_most(
+    yield within(text, len(most.landmark), (0.5 * TREES, 2.0 * TREES), own=True)
+    text = (
         "part of the history is lost with every resampling (share of the particles at a tenth "
-        "of the log that have descendants at its end)",
-        most.left_of_the_first_tenth / most.particles,
-        0.1,
-        own=True,
+        "of the log that have descendants at its end)"
     )
+    yield at_most(text, most.left_of_the_first_tenth / most.particles, 0.1, own=True)
 
 
-def draw_2_6(canvas: Canvas, found: FinalMap) -> None:
-    """Path and trees."""
+def _draw_2_6(canvas: Canvas, found: FinalMap) -> None:
     axis = canvas.add_subplot()
     draw_trajectory(axis, found.path, EKF_COLOUR, "estimated path")
     axis.plot(*found.landmark.T, "*", color=_STARS, markersize=5, label="landmarks")
     plan(axis, f"EKF-SLAM, {len(found.landmark)} landmarks", legend="best")
 
 
-def draw(canvas: Canvas, found: Clouds) -> None:
-    """Left the map of Fig. 2.13; right the particles that are left of each instant."""
+def _draw_2_13(canvas: Canvas, found: Clouds) -> None:
     grid = canvas.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
     axis, most = canvas.add_subplot(grid[0]), found.runs[-1]
     draw_reference(axis, found.gps, ".", "GPS")
@@ -205,21 +178,23 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
     chart(axis, "depletion", "share of the log", "particles with descendants at its end")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N2.6", title="Feature SLAM on Victoria Park",
         says="Feature-based SLAM gives trajectory and map; the map is sparse, and is of trees.",
         experiment=Experiment(
             "section 2.8.2, Victoria Park", lambda given: final_map(given.log(_PARK)), _PARK
         ),
-        draw=draw_2_6, claims=claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
+        draw=_draw_2_6, claims=_claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
     ),
     Figure(
         name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
         "landmark the average of the Gaussian means. Resampling loses particles, and with them "
         "part of the map's history.",
-        experiment=Experiment("section 2.10, FastSLAM", clouds, _PARK), draw=draw,
-        claims=claims, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
+        experiment=Experiment(
+            "section 2.10, FastSLAM", lambda given: clouds(given.log(_PARK)), _PARK
+        ),
+        draw=_draw_2_13, claims=_claims_2_13, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
     ),
 )  # fmt: skip

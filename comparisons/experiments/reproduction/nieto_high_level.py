@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -20,22 +19,18 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.errors import InputError
-from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-    ours,
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, elsewhere, ours
+from comparisons.experiments.reproduction.drawing import (
+    TRUE_PATH_COLOUR,
+    closed,
+    draw_lines,
+    frame,
+    plan,
 )
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings, truth_in_order
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.nieto_dense import MORE, enclosed
-from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
@@ -125,14 +120,12 @@ class Searched:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class Pairs(Drives[Searched]):
     """One search per drive by a building and something small.
 
     true: (L, 2) landmarks of every drive in its filter's order. segment: (S, 4) true surfaces.
     """
 
-    log: str
-    each: tuple[Searched, ...]
     true: tuple[Array, ...]
     segment: Array
 
@@ -169,14 +162,6 @@ class HighLevelDrive:
         return tuple(to_world(self.run.place[k], self.templates[k]) for k in order)
 
 
-@dataclass(frozen=True)
-class HighLevelDrives:
-    """Of some drives; the first is drawn."""
-
-    log: str
-    each: tuple[HighLevelDrive, ...]
-
-
 @cache
 def _by_a_building() -> ScanExperiment:
     """Part of a loop past a building and something small, with the sensors of Table 4.1."""
@@ -206,25 +191,23 @@ def corner_pairs(sources: Sources) -> Pairs:
     return Pairs(reported, tuple(each), tuple(true), _by_a_building().world.segment)
 
 
-def high_level_drives(sources: Sources) -> HighLevelDrives:
+def high_level_drives(sources: Sources) -> Drives[HighLevelDrive]:
     """Section 6.1.3: chapter 4's environment, a search every minute, seeds from 0."""
     experiment, drives = enclosed(occupancy(LOOPS)), sources.drives
     logs = (simulate(np.random.default_rng(seed), experiment) for seed in range(drives))
     reported = f"{experiment.name} --loops {LOOPS} with {MORE}, {drives} drives from seed 0"
-    return HighLevelDrives(reported, tuple(of_log(log, EVERY_S) for log in logs))
+    return Drives(reported, tuple(of_log(log) for log in logs))
 
 
-def of_log(log: Log, every_s: float) -> HighLevelDrive:
+def of_log(log: Log) -> HighLevelDrive:
     """A log with scans and truth, driven with high level landmarks and without."""
-    poses, surfaces, loop_s = log.truth.poses, log.truth.surfaces, occupancy().drive.loop_s
-    if poses is None or surfaces is None:
-        raise InputError(f"{log.name}: true poses and surfaces are needed")
+    (poses, segment), loop_s = true_surroundings(log), occupancy().drive.loop_s
     searches = list[Searched]()
 
     def searched(time_s: float, around: Around, found: Search) -> None:
         searches.append(Searched.of(time_s, around, found))
 
-    source = HighLevelSource(log, HighLevelOptions(every_s=every_s), searched=searched)
+    source = HighLevelSource(log, HighLevelOptions(every_s=EVERY_S), searched=searched)
     choices, timeline = settle(EkfConfig(), log), build_timeline(log)
     without = run_ekf(log, timeline, choices)
     run = run_ekf(log, timeline, choices, setup=FilterSetup(source=source))
@@ -243,7 +226,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
         true_path=poses.pose[:, :2],
         landmark=run.estimate.landmark,
         true=truth_in_order(log)[1],
-        segment=surfaces.segment,
+        segment=segment,
         error_m=error_m(run),
         without_m=error_m(without),
     )
@@ -252,8 +235,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
 _UNKNOWN, _CELLS_M = 0.5, 0.4
 
 
-def claims_6_2(found: Pairs) -> Claims:
-    """Either layer shows the object."""
+def _claims_6_2(found: Pairs) -> Claims:
     shares, off = list[float](), list[float]()
     for one, true in zip(found.each, found.true, strict=True):
         if one.search.found:
@@ -271,33 +253,22 @@ def claims_6_2(found: Pairs) -> Claims:
     yield at_most(text, max(off, default=np.nan), _CELLS_M, "m", own=True)
 
 
-def claims_6_4(found: Pairs) -> Claims:
-    """Two pairs of corners, of which one has enough Gaussians."""
+def _claims_6_4(found: Pairs) -> Claims:
     corners = [len(one.search.corner) for one in found.each]
     shown = [len(one.search.candidate) for one in found.each]
     right = [n == 2 and one.accepted.sum() == 1 for n, one in zip(shown, found.each, strict=True)]
     rich = [one.search.gaussians[one.accepted] for one in found.each]
     poor = [one.search.gaussians[~one.accepted] for one in found.each]
     yield at_least("four corners are detected (fewest of the drives)", min(corners), 4)
-    yield at_least(
-        "two pairs become candidates, and one is accepted (share of drives)",
-        np.mean(right),
-        1.0,
-    )
-    yield at_least(
-        f"the accepted one has the {LEAST} Gaussians that are asked for (fewest)",
-        min(np.concatenate(rich), default=np.nan),
-        LEAST,
-    )
-    yield at_most(
-        "the other has not enough (most of the drives; limit: one less than asked for)",
-        max(np.concatenate(poor), default=np.nan),
-        LEAST - 1,
-    )
+    text = "two pairs become candidates, and one is accepted (share of drives)"
+    yield at_least(text, np.mean(right), 1.0)
+    text = f"the accepted one has the {LEAST} Gaussians that are asked for (fewest)"
+    yield at_least(text, min(np.concatenate(rich), default=np.nan), LEAST)
+    text = "the other has not enough (most of the drives; limit: one less than asked for)"
+    yield at_most(text, max(np.concatenate(poor), default=np.nan), LEAST - 1)
 
 
-def claims_6_5(found: HighLevelDrives) -> Claims:
-    """Few at first, more after the loop."""
+def _claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
     first = [d.searches[0] for d in found.each]
     shown = [len(one.search.candidate) for one in first]
     taken = [int(one.accepted.sum()) for one in first]
@@ -306,34 +277,26 @@ def claims_6_5(found: HighLevelDrives) -> Claims:
     looks = Counter[str]()
     for d in found.each:
         looks.update(d.run.looks)
-    yield at_least(
-        "the first search has three candidates (median of the drives)", np.median(shown), CANDIDATES
-    )
+    text = "the first search has three candidates (median of the drives)"
+    yield at_least(text, np.median(shown), CANDIDATES)
     yield at_least("at least one of them is accepted (the same)", np.median(taken), FIRST)
-    yield at_least(
-        "and two are rejected for too few Gaussians (the same)",
-        np.median([n - k for n, k in zip(shown, taken, strict=True)]),
-        CANDIDATES - FIRST,
+    text = "and two are rejected for too few Gaussians (the same)"
+    rejected = [n - k for n, k in zip(shown, taken, strict=True)]
+    yield at_least(text, np.median(rejected), CANDIDATES - FIRST)
+    text = "once the loop is closed four more have been detected (the same)"
+    yield at_least(text, np.median(later), LATER)
+    why = ours(
+        "44 s are left after the search that finds four of them, and a landmark is used from "
+        f"the first scan that has {SHARE:.0%} of its template in view and fixes its heading: "
+        f"of {looks.total()} looks at those within reach {looks['out of view']} were out of "
+        f"view, and {looks['a direction is open']} left a direction open. With 10 % and any "
+        "direction open 3 are used in each of 3 drives"
     )
-    yield at_least(
-        "once the loop is closed four more have been detected (the same)", np.median(later), LATER
-    )
-    yield at_least(
-        "in the end five are in the state, seen again and used (the same)",
-        np.median(kept),
-        FIRST + LATER,
-        why=ours(
-            "44 s are left after the search that finds four of them, and a landmark is used from "
-            f"the first scan that has {SHARE:.0%} of its template in view and fixes its heading: "
-            f"of {looks.total()} looks at those within reach {looks['out of view']} were out of "
-            f"view, and {looks['a direction is open']} left a direction open. With 10 % and any "
-            "direction open 3 are used in each of 3 drives"
-        ),
-    )
+    text = "in the end five are in the state, seen again and used (the same)"
+    yield at_least(text, np.median(kept), FIRST + LATER, why=why)
 
 
-def claims_6_6(found: HighLevelDrives) -> Claims:
-    """Where the templates lie, and what they contribute."""
+def _claims_6_6(found: Drives[HighLevelDrive]) -> Claims:
     off = [
         float(np.median(distance_to_segments(rigid_motion(d.landmark, d.true)(points), d.segment)))
         for d in found.each
@@ -341,30 +304,22 @@ def claims_6_6(found: HighLevelDrives) -> Claims:
     ]
     ratio = [d.error_m / d.without_m for d in found.each]
     landmarks = len(found.each[0].landmark)
-    yield at_most(
+    text = (
         "the templates are pieces of the objects (median distance of a template's points from the "
-        "surfaces, once the point landmarks are moved onto the true ones; median of all templates)",
-        np.median(off) if off else np.nan,
-        0.5,
-        "m",
-        own=True,
+        "surfaces, once the point landmarks are moved onto the true ones; median of all templates)"
     )
-    yield at_most(
+    yield at_most(text, np.median(off) if off else np.nan, 0.5, "m", own=True)
+    why = elsewhere(f"few are seen again, among {landmarks} point landmarks")
+    text = (
         "the vehicle is no farther from the truth with them (RMS position error after the "
-        "first loop, over that without, mean of the drives)",
-        np.mean(ratio),
-        1.0,
-        why=elsewhere(f"few are seen again, among {landmarks} point landmarks"),
+        "first loop, over that without, mean of the drives)"
     )
-    yield at_most(
-        "localisation is much more robust with them (the same)",
-        np.mean(ratio),
-        0.5,
-        why=elsewhere(
-            f"{landmarks} point landmarks are there as well, and fix the vehicle without them"
-        ),
-        own=True,
+    yield at_most(text, np.mean(ratio), 1.0, why=why)
+    why = elsewhere(
+        f"{landmarks} point landmarks are there as well, and fix the vehicle without them"
     )
+    text = "localisation is much more robust with them (the same)"
+    yield at_most(text, np.mean(ratio), 0.5, why=why, own=True)
 
 
 CORNER_PAIRS = Experiment("section 6.1.3, two pairs of corners", corner_pairs)
@@ -374,8 +329,7 @@ HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)
 _BESIDE_M = 3.0
 
 
-def draw_6_2(canvas: Canvas, found: Pairs) -> None:
-    """The landmark of the first drive, with its axes."""
+def _draw_6_2(canvas: Canvas, found: Pairs) -> None:
     axes, one = canvas.subplots(1, 2, sharex=True, sharey=True), found.each[0]
     (east, north), height, g = one.cells_of_it.point.T, one.cells_of_it.occupancy, one.template
     drawn = axes[0].scatter(east, north, s=11.0, marker="s", linewidths=0, c=height, vmin=0, vmax=1)
@@ -389,8 +343,7 @@ def draw_6_2(canvas: Canvas, found: Pairs) -> None:
     frame(axes[0], one.search.candidate[one.accepted][0], 0.5)
 
 
-def draw_6_4(canvas: Canvas, found: Pairs) -> None:
-    """Both pairs of the first drive."""
+def _draw_6_4(canvas: Canvas, found: Pairs) -> None:
     axis, one = canvas.add_subplot(), found.each[0]
     draw_surfaces(axis, found.segment)
     _draw_search(axis, one)
@@ -399,8 +352,7 @@ def draw_6_4(canvas: Canvas, found: Pairs) -> None:
     plan(axis, title, legend="lower center", columns=2)
 
 
-def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
-    """The first search, and the end."""
+def _draw_6_5(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     d = found.each[0]
     first = d.searches[0]
@@ -417,8 +369,7 @@ def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
     plan(right, "(b) after the loop, in the end", legend="lower right")
 
 
-def draw_6_6(canvas: Canvas, found: HighLevelDrives) -> None:
-    """Templates and axes."""
+def _draw_6_6(canvas: Canvas, found: Drives[HighLevelDrive]) -> None:
     axis, d = canvas.add_subplot(), found.each[0]
     _draw_end(axis, d)
     for points in d.placed:
@@ -437,15 +388,13 @@ def _draw_search(axis: Axes, one: Searched) -> None:
         *corner.T, "o", color=EKF_COLOUR, markersize=8, markerfacecolor="none", label="corners",
         zorder=4,
     )  # fmt: skip
-    closed = _closed(one.search.candidate)
     for style, name, chosen in (
         ("solid", "accepted", one.accepted),
         ("dashed", "rejected", ~one.accepted),
     ):
         if chosen.any():
-            lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=1.2)
-            lines.set(color=HIGH_LEVEL_COLOUR, label=name)
-            axis.add_collection(lines)
+            outline = closed(one.search.candidate[chosen])
+            draw_lines(axis, outline, HIGH_LEVEL_COLOUR, name, 1.2, style=style)
     for area, count in zip(one.search.candidate, one.search.gaussians.tolist(), strict=True):
         top = area[area[:, 1].argmax()]
         axis.annotate(f"{count}", top, xytext=(0, 3), textcoords="offset points", fontsize=9,
@@ -459,32 +408,28 @@ def _draw_end(axis: Axes, d: HighLevelDrive) -> None:
     draw_high_level(axis, d.run)
 
 
-def _closed(area: Array) -> Array:
-    return np.concatenate((area, area[:, :1]), axis=1)
-
-
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N6.2", title="A high level landmark in two layers",
         says="A landmark of the dense map, with local axes, may be a grid or a sum of Gaussians.",
-        experiment=CORNER_PAIRS, draw=draw_6_2, claims=claims_6_2, size=(13.0, 5.6),
+        experiment=CORNER_PAIRS, draw=_draw_6_2, claims=_claims_6_2, size=(13.0, 5.6),
     ),
     Figure(
         name="N6.4", title="Two pairs of corners, one with too few Gaussians",
         says="Four corners make two candidates; the first has enough Gaussians under its "
         "rectangle, the second has not and is no landmark.",
-        experiment=CORNER_PAIRS, draw=draw_6_4, claims=claims_6_4, size=(9.0, 6.0),
+        experiment=CORNER_PAIRS, draw=_draw_6_4, claims=_claims_6_4, size=(9.0, 6.0),
     ),
     Figure(
         name="N6.5", title="The first search for high level landmarks, and the map after the loop",
         says="Of three candidates that the first search finds one is accepted; once the loop is "
         "closed four more have been found and are in the state.",
-        experiment=HIGH_LEVEL, draw=draw_6_5, claims=claims_6_5, size=(13.0, 6.2),
+        experiment=HIGH_LEVEL, draw=_draw_6_5, claims=_claims_6_5, size=(13.0, 6.2),
     ),
     Figure(
         name="N6.6", title="The final map of high level landmarks",
         says="The templates' dense information is used for navigation beside the point landmarks, "
         "which makes localisation much more robust.",
-        experiment=HIGH_LEVEL, draw=draw_6_6, claims=claims_6_6, size=(8.0, 7.0),
+        experiment=HIGH_LEVEL, draw=_draw_6_6, claims=_claims_6_6, size=(8.0, 7.0),
     ),
 )  # fmt: skip

@@ -14,20 +14,11 @@ from scipy.spatial import cKDTree
 
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.arrays import Array
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs, within
 from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    theirs,
-    within,
-)
+from comparisons.experiments.reproduction.drives import truth_in_order
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import occupied
-from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_surfaces
@@ -168,8 +159,7 @@ def _cells(box: Array, size_m: float) -> Array:
 KNOWN = Experiment("sections 2.8.1, 4.2 and 4.3.1, known poses", known_poses)
 
 
-def claims_2_5(found: KnownPoses) -> Claims:
-    """All that stands there is in the grid, whatever its geometry."""
+def _claims_2_5(found: KnownPoses) -> Claims:
     held, world = found.grid.point[found.grid.occupancy > _UNKNOWN], occupancy().world
     shown = [distance_to_segments(held, sides(o)).min() <= _NEAR_M for o in world.outline]
     text = f"every one of {len(shown)} objects is represented (share with cells above 0.5 at it)"
@@ -181,8 +171,7 @@ def claims_2_5(found: KnownPoses) -> Claims:
     yield at_least(text, np.mean(off_m <= _NEAR_M), 0.9, own=True)
 
 
-def claims_4_1_3(found: KnownPoses) -> Claims:
-    """Large squares where all is alike, small ones where something stands."""
+def _claims_4_1_3(found: KnownPoses) -> Claims:
     cells, tree = found.grid.occupancy, found.tree
     fine = tree.side_m < 1.5 * tree.side_m.min()
     share = fine.sum() / len(cells)
@@ -195,8 +184,7 @@ def claims_4_1_3(found: KnownPoses) -> Claims:
     yield at_least(text, kept / share, 2.0, own=True)
 
 
-def claims_4_7(found: KnownPoses) -> Claims:
-    """Samples of the sensor are where the occupancy is high."""
+def _claims_4_7(found: KnownPoses) -> Claims:
     high, off_m = found.line.occupancy > _UNKNOWN, np.hypot(*found.line.point.T) - RANGE_M
     text = "most samples are in the region with high probability of being occupied (share)"
     yield at_least(text, np.mean(high), 0.5)
@@ -207,8 +195,7 @@ def claims_4_7(found: KnownPoses) -> Claims:
     yield at_most(text, np.mean(np.abs(off_m) > 3.0 * SIGMA_M), 0.01, own=True)
 
 
-def claims_4_8(found: KnownPoses) -> Claims:
-    """In the plane, too; free and unknown space is not represented."""
+def _claims_4_8(found: KnownPoses) -> Claims:
     high, free = found.level > _UNKNOWN, found.level < _UNKNOWN
     inside = np.mean(found.plane.occupancy > _UNKNOWN)
     denser = inside / high.sum() / ((1.0 - inside) / np.sum(found.level <= _UNKNOWN))
@@ -224,8 +211,7 @@ def claims_4_8(found: KnownPoses) -> Claims:
     yield at_most(text, off, 0.05, own=True)
 
 
-def claims_4_9(found: KnownPoses) -> Claims:
-    """One new sample updates several old ones."""
+def _claims_4_9(found: KnownPoses) -> Claims:
     served = np.bincount(found.pair.new)
     text = "several a priori samples are associated with the same new one (most)"
     yield at_least(text, served.max(initial=0), 2)
@@ -233,8 +219,7 @@ def claims_4_9(found: KnownPoses) -> Claims:
     yield at_least(text, np.sum(served > 1) / np.sum(served > 0), 0.1, own=True)
 
 
-def claims_4_11(found: KnownPoses) -> Claims:
-    """Equal heights, a normalised sum, and high where returns come from."""
+def _claims_4_11(found: KnownPoses) -> Claims:
     high = _cells(found.box, _CELL_M)[found.height > 0.5 * found.peak.max()]
     text = "the Gaussians are of equal height (highest over lowest)"
     yield at_most(text, found.peak.max() / found.peak.min(), 1.0 + 1e-9)
@@ -245,8 +230,7 @@ def claims_4_11(found: KnownPoses) -> Claims:
     yield at_most(text, np.percentile(off_m, 95.0), _NEAR_M, "m", own=True)
 
 
-def draw_2_5(canvas: Canvas, found: KnownPoses) -> None:
-    """The grid in black, white and grey; objects in red."""
+def _draw_2_5(canvas: Canvas, found: KnownPoses) -> None:
     axis, world, (east, north) = canvas.add_subplot(), occupancy().world, found.grid.point.T
     axis.set_facecolor("0.5")
     axis.scatter(east, north, s=2.0, marker="s", linewidths=0, c=found.grid.occupancy,
@@ -258,8 +242,7 @@ def draw_2_5(canvas: Canvas, found: KnownPoses) -> None:
     frame(axis, world.segment.reshape(-1, 2), 3.0)
 
 
-def draw_4_1_3(canvas: Canvas, found: KnownPoses) -> None:
-    """Leaves around the middle of the first object."""
+def _draw_4_1_3(canvas: Canvas, found: KnownPoses) -> None:
     axis, tree = canvas.add_subplot(), found.tree
     square = tree.corner[:, None] + tree.side_m[:, None, None] * _SQUARE
     leaves = PolyCollection(square, edgecolors="#999999", linewidths=0.2, cmap="gray_r")
@@ -271,8 +254,7 @@ def draw_4_1_3(canvas: Canvas, found: KnownPoses) -> None:
     frame(axis, occupancy().world.outline[0].mean(axis=0)[None], _TREE_M)
 
 
-def draw_4_7(canvas: Canvas, found: KnownPoses) -> None:
-    """Curves and samples."""
+def _draw_4_7(canvas: Canvas, found: KnownPoses) -> None:
     axis, (at_m, level, density) = canvas.add_subplot(), found.curves
     axis.plot(at_m, level, "-", color=SMOOTHER_COLOUR, label="occupancy distribution")
     axis.plot(at_m, density, "--", color=_GREEN, label="sensor model over its peak")
@@ -282,8 +264,7 @@ def draw_4_7(canvas: Canvas, found: KnownPoses) -> None:
     chart(axis, f"{SAMPLES} samples of a range of {RANGE_M:g} m", "range [m]", "probability")
 
 
-def draw_4_8(canvas: Canvas, found: KnownPoses) -> None:
-    """Samples, their surface, and the grid under them."""
+def _draw_4_8(canvas: Canvas, found: KnownPoses) -> None:
     axes, samples = canvas.subplots(1, 3, sharex=True, sharey=True), found.plane.point.T
     drawn = axes[0].scatter(*samples, s=4.0, c=found.plane.occupancy, vmin=0.3, vmax=0.9)
     _scanned(axes[0], "(a) samples")
@@ -294,8 +275,7 @@ def draw_4_8(canvas: Canvas, found: KnownPoses) -> None:
     canvas.colorbar(drawn, ax=list(axes), label="probability of being occupied", shrink=0.8)
 
 
-def draw_4_9(canvas: Canvas, found: KnownPoses) -> None:
-    """Around the new sample that updates the most."""
+def _draw_4_9(canvas: Canvas, found: KnownPoses) -> None:
     axis, old, new, pair = canvas.add_subplot(), found.old.point, found.new.point, found.pair
     draw_lines(axis, np.stack((old[pair.old], new[pair.new]), axis=1), EKF_COLOUR, "associations")
     axis.plot(*old.T, ".", color=_GREEN, markersize=8, label="a priori map")
@@ -304,8 +284,7 @@ def draw_4_9(canvas: Canvas, found: KnownPoses) -> None:
     frame(axis, new[np.bincount(pair.new).argmax()][None], 1.5)
 
 
-def draw_4_11(canvas: Canvas, found: KnownPoses) -> None:
-    """Raw points left, the sum right."""
+def _draw_4_11(canvas: Canvas, found: KnownPoses) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     left.plot(*found.point.T, ".", color=SMOOTHER_COLOUR, markersize=4)
     left.plot(0.0, 0.0, "^", color=EKF_COLOUR)
@@ -331,36 +310,36 @@ def _scanned(axis: Axes, title: str) -> None:
     axis.grid(visible=False)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N2.5", title="An occupancy grid by known poses",
         says="Every object is represented in the grid, whatever its geometry.",
-        experiment=KNOWN, draw=draw_2_5, claims=claims_2_5, size=(8.5, 7.0),
+        experiment=KNOWN, draw=_draw_2_5, claims=_claims_2_5, size=(8.5, 7.0),
     ),
     Figure(
         name="N4.1.3", title="An occupancy grid as a quadtree", place="section 4.1.3",
         says="A classic grid has one resolution everywhere, unless it is a quadtree.",
-        experiment=KNOWN, draw=draw_4_1_3, claims=claims_4_1_3, size=(8.0, 7.0),
+        experiment=KNOWN, draw=_draw_4_1_3, claims=_claims_4_1_3, size=(8.0, 7.0),
     ),
     Figure(
         name="N4.7", title="Samples of a range sensor's occupancy distribution",
         says="Most samples of the sensor model have a high probability of being occupied, almost "
         "none are in free and unknown space.",
-        experiment=KNOWN, draw=draw_4_7, claims=claims_4_7, size=(8.0, 4.6),
+        experiment=KNOWN, draw=_draw_4_7, claims=_claims_4_7, size=(8.0, 4.6),
     ),
     Figure(
         name="N4.8", title="Samples of a range and bearing sensor's occupancy distribution",
         says="Most samples are where the probability of being occupied is the highest.",
-        experiment=KNOWN, draw=draw_4_8, claims=claims_4_8, size=(13.0, 3.8),
+        experiment=KNOWN, draw=_draw_4_8, claims=_claims_4_8, size=(13.0, 3.8),
     ),
     Figure(
         name="N4.9", title="Nearest neighbours of particles",
         says="One new sample may update several samples of the a priori map.",
-        experiment=KNOWN, draw=draw_4_9, claims=claims_4_9, size=(7.0, 6.4),
+        experiment=KNOWN, draw=_draw_4_9, claims=_claims_4_9, size=(7.0, 6.4),
     ),
     Figure(
         name="N4.11", title="A scan as a sum of Gaussians",
         says="The points of a scan are a sum of Gaussians, here of equal height.",
-        experiment=KNOWN, draw=draw_4_11, claims=claims_4_11, size=(12.0, 6.0),
+        experiment=KNOWN, draw=_draw_4_11, claims=_claims_4_11, size=(12.0, 6.0),
     ),
 )  # fmt: skip

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
@@ -21,18 +20,11 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.experiments.reproduction.drawing import frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    ours,
-)
-from comparisons.experiments.reproduction.measures import true_segments
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, ours
+from comparisons.experiments.reproduction.drawing import closed, draw_lines, frame, plan
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.measures import mean
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import (
@@ -88,11 +80,9 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Motions:
-    """Of some drives; the first is drawn. true: (P, 2) [m] middles of the places that change."""
+class Motions(Drives[Motion]):
+    """true: (P, 2) [m] middles of the places that change."""
 
-    log: str
-    each: tuple[Motion, ...]
     true: Array
 
 
@@ -108,7 +98,7 @@ def _motion(experiment: ScanExperiment, seed: int) -> Motion:
         dynamic=layer.points(mapping.placed),
         occupied=mapping.layers["occupancy"],
         landmark=mapping.dense.landmark,
-        segment=true_segments(log),
+        segment=true_surroundings(log)[1],
         triangle=mapping.placed.triangle,
     )
 
@@ -137,52 +127,30 @@ def changed_places(sources: Sources) -> Motions:
     return _motions(experiment, dynamic_worlds.changed_places(experiment.world.movers), sources)
 
 
-def claims_6_9(found: Motions) -> Claims:
-    """Both lanes, and hardly anything else."""
+def _claims_6_9(found: Motions) -> Claims:
     off = [_off(m.score.middle[:, 1:], found.true[:, 1:]) for m in found.each]
-    yield at_most(
+    text = (
         "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
-        "its own area's, in all drives)",
-        max(off),
-        0.5,
-        "m",
-        own=True,
+        "its own area's, in all drives)"
     )
-    yield at_most(
-        "and nowhere else: number of areas (most of the drives)",
-        max(len(m.score.middle) for m in found.each),
-        2,
-    )
-    yield at_least(
-        "cells found are driven on (least precision of the drives)",
-        min(m.score.precision for m in found.each),
-        0.9,
-        own=True,
-    )
-    yield at_least(
-        "cells driven on are found (least recall of the drives)",
-        min(m.score.recall for m in found.each),
-        0.9,
-        own=True,
-    )
+    yield at_most(text, max(off), 0.5, "m", own=True)
+    text = "and nowhere else: number of areas (most of the drives)"
+    yield at_most(text, max(len(m.score.middle) for m in found.each), 2)
+    text = "cells found are driven on (least precision of the drives)"
+    yield at_least(text, min(m.score.precision for m in found.each), 0.9, own=True)
+    text = "cells driven on are found (least recall of the drives)"
+    yield at_least(text, min(m.score.recall for m in found.each), 0.9, own=True)
 
 
-def claims_6_10(found: Motions) -> Claims:
-    """The three places, and no other."""
+def _claims_6_10(found: Motions) -> Claims:
     off = [_off(m.score.middle, found.true) for m in found.each]
-    yield at_most(
+    text = (
         "areas are found where the objects stood or stand (largest distance of their middles, "
-        "in all drives; only the sides that were seen are found)",
-        max(off),
-        1.3,
-        "m",
-        own=True,
+        "in all drives; only the sides that were seen are found)"
     )
-    yield at_most(
-        "and nowhere else: number of areas (most of the drives)",
-        max(len(m.score.middle) for m in found.each),
-        3,
-    )
+    yield at_most(text, max(off), 1.3, "m", own=True)
+    text = "and nowhere else: number of areas (most of the drives)"
+    yield at_most(text, max(len(m.score.middle) for m in found.each), 3)
 
 
 def _off(middle: Array, true: Array) -> float:
@@ -206,13 +174,11 @@ def _draw(axis: Axes, found: Motions, title: str) -> None:
     plan(axis, title)
 
 
-def draw_6_9(canvas: Canvas, found: Motions) -> None:
-    """The dynamic cells over what is occupied in the end."""
+def _draw_6_9(canvas: Canvas, found: Motions) -> None:
     _draw(canvas.add_subplot(), found, "fast motion (orange), what is occupied, regions")
 
 
-def draw_6_10(canvas: Canvas, found: Motions) -> None:
-    """The same, with the places that changed."""
+def _draw_6_10(canvas: Canvas, found: Motions) -> None:
     axis = canvas.add_subplot()
     _draw(axis, found, "slow motion (orange), the changed places (circles)")
     axis.plot(*found.true.T, "o", markersize=16, markerfacecolor="none", color=TRUTH_COLOUR)
@@ -255,14 +221,6 @@ class ParkedCars:
         return np.array(share) >= 0.5
 
 
-@dataclass(frozen=True)
-class ParkedCarsDrives:
-    """Of some drives; the first is drawn."""
-
-    log: str
-    each: tuple[ParkedCars, ...]
-
-
 def off_cars(point: Array) -> Array:
     """(C, N) distances [m] of points (N, 2) from each car that leaves, zero on it."""
     away = []
@@ -272,10 +230,10 @@ def off_cars(point: Array) -> Array:
     return np.array(away)
 
 
-def parked_drives(sources: Sources) -> ParkedCarsDrives:
+def parked_drives(sources: Sources) -> Drives[ParkedCars]:
     """Two laps each, seeds from 0."""
     each = tuple(_parked(seed) for seed in range(sources.drives))
-    return ParkedCarsDrives(f"{parked_cars().name}, {len(each)} drives from seed 0", each)
+    return Drives(f"{parked_cars().name}, {len(each)} drives from seed 0", each)
 
 
 def _parked(seed: int) -> ParkedCars:
@@ -315,7 +273,7 @@ def _parked(seed: int) -> ParkedCars:
         removed=np.isin(np.arange(len(found.place)), list(landmarks.moving)),
         landmark=watcher.dense.landmark,
         points_removed=len(run.deactivated),
-        segment=true_segments(log),
+        segment=true_surroundings(log)[1],
     )
 
 
@@ -326,54 +284,44 @@ _RAGGED = ours(
 )
 
 
-def claims_6_19(found: ParkedCarsDrives) -> Claims:
-    """All cars, in two areas, and nothing else."""
+def _claims_6_19(found: Drives[ParkedCars]) -> Claims:
     off = [off_cars(d.dynamic) for d in found.each]
     count = np.array([len(middles(d.dynamic)) for d in found.each])
-    yield at_least(
+    cars = min(int((away <= _BESIDE_M).any(axis=1).sum()) for away in off)
+    text = (
         f"every car that left is found (number with a dynamic cell up to {_BESIDE_M:g} m away, "
-        "fewest of the drives)",
-        min(int((away <= _BESIDE_M).any(axis=1).sum()) for away in off),
-        len(leaving_cars()),
+        "fewest of the drives)"
     )
-    yield at_least(
-        "two areas are found, one of two cars side by side and one of the third (share of drives)",
-        np.mean(count == _AREAS),
-        1.0,
-        why=_RAGGED,
+    yield at_least(text, cars, len(leaving_cars()))
+    text = (
+        "two areas are found, one of two cars side by side and one of the third (share of drives)"
     )
-    yield at_most(
+    yield at_least(text, np.mean(count == _AREAS), 1.0, why=_RAGGED)
+    far = max(away.min(axis=0).max(initial=0.0) for away in off)
+    text = (
         "and none elsewhere (largest distance of a dynamic cell from a car that left, in all "
-        "drives)",
-        max(away.min(axis=0).max(initial=0.0) for away in off),
-        _BESIDE_M,
-        "m",
-        why=_RAGGED,
-        own=True,
+        "drives)"
     )
+    yield at_most(text, far, _BESIDE_M, "m", why=_RAGGED, own=True)
 
 
-def claims_6_20(found: ParkedCarsDrives) -> Claims:
-    """What is under an area, and the rest."""
+def _claims_6_20(found: Drives[ParkedCars]) -> Claims:
     left = np.concatenate([d.left for d in found.each])
     removed = np.concatenate([d.removed for d in found.each])
-    yield at_least(
+    text = (
         "the landmark under a dynamic area is removed (share of the high level landmarks that "
-        "stand on a car that left, all drives)",
-        np.mean(removed[left]),
-        1.0,
+        "stand on a car that left, all drives)"
     )
-    yield at_least(
-        "it is removed from the state vector (drives with one that was in it, share)",
-        np.mean([(d.left & d.removed & d.in_state).any() for d in found.each]),
-        1.0,
-    )
-    yield at_most(
+    yield at_least(text, np.mean(removed[left]), 1.0)
+    text = "it is removed from the state vector (drives with one that was in it, share)"
+    share = np.mean([(d.left & d.removed & d.in_state).any() for d in found.each])
+    yield at_least(text, share, 1.0)
+    others = np.count_nonzero(removed & ~left) + sum(d.points_removed for d in found.each)
+    text = (
         "all others are kept (number of others that are removed, point landmarks among them, all "
-        "drives)",
-        np.count_nonzero(removed & ~left) + sum(d.points_removed for d in found.each),
-        0,
+        "drives)"
     )
+    yield at_most(text, others, 0)
 
 
 def _draw_cells(axis: Axes, one: ParkedCars, point: Array, colour: str, title: str) -> None:
@@ -383,8 +331,7 @@ def _draw_cells(axis: Axes, one: ParkedCars, point: Array, colour: str, title: s
     frame(axis, one.landmark, 6.0)
 
 
-def draw_6_19(canvas: Canvas, found: ParkedCarsDrives) -> None:
-    """The map at both times, and what is found."""
+def _draw_6_19(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     before, after, moved = canvas.subplots(1, 3, sharex=True, sharey=True)
     one = found.each[0]
     _draw_cells(before, one, one.first, DENSE_COLOUR, "(a) occupied, three cars more; red: to go")
@@ -393,17 +340,14 @@ def draw_6_19(canvas: Canvas, found: ParkedCarsDrives) -> None:
     _draw_cells(moved, one, one.dynamic, "black", "(c) slow motion")
 
 
-def draw_6_20(canvas: Canvas, found: ParkedCarsDrives) -> None:
-    """Templates and rectangles, and the areas."""
+def _draw_6_20(canvas: Canvas, found: Drives[ParkedCars]) -> None:
     axis, one = canvas.add_subplot(), found.each[0]
     axis.plot(*np.vstack(one.template).T, ".", color=DENSE_COLOUR, markersize=2, zorder=3)
-    closed = np.concatenate((one.rectangle, one.rectangle[:, :1]), axis=1)
     for state, width, seen in (("in the state", 1.8, True), ("not seen again", 0.7, False)):
         for style, what, gone in (("solid", "", False), ("dashed", ", removed", True)):
             chosen = (one.in_state == seen) & (one.removed == gone)
-            lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=width)
-            lines.set(color=HIGH_LEVEL_COLOUR, label=state + what)
-            axis.add_collection(lines)
+            outline = closed(one.rectangle[chosen])
+            draw_lines(axis, outline, HIGH_LEVEL_COLOUR, state + what, width, style=style)
     axis.plot(*one.dynamic.T, ".", color=_GONE_COLOUR, markersize=3, label="dynamic areas")
     axis.plot(*one.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
     plan(axis, "high level landmarks and dynamic areas", legend="lower right")
@@ -412,32 +356,32 @@ def draw_6_20(canvas: Canvas, found: ParkedCarsDrives) -> None:
 
 _PARKED = Experiment("section 6.5, cars that leave", parked_drives)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N6.9", title="Fast motion found by differencing occupancy",
         says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, where "
         "the two objects move; the contours of what stands are filtered away.",
-        experiment=Experiment("section 6.3.3, fast motion", lanes), draw=draw_6_9,
-        claims=claims_6_9, size=(8.0, 7.0),
+        experiment=Experiment("section 6.3.3, fast motion", lanes), draw=_draw_6_9,
+        claims=_claims_6_9, size=(8.0, 7.0),
     ),
     Figure(
         name="N6.10", title="Slow motion found between two visits",
         says="Between two visits one object is taken away and two are brought; three areas are "
         "found, and these are the places.",
-        experiment=Experiment("section 6.3.3, slow motion", changed_places), draw=draw_6_10,
-        claims=claims_6_10, size=(8.0, 7.0),
+        experiment=Experiment("section 6.3.3, slow motion", changed_places), draw=_draw_6_10,
+        claims=_claims_6_10, size=(8.0, 7.0),
     ),
     Figure(
         name="N6.19", title="Car park, simulated: slow motion where three cars have left",
         says="Between two occupancy maps of a car park three cars leave; two areas are found, one "
         "where two cars stood side by side and one where the third stood.",
-        experiment=_PARKED, draw=draw_6_19, claims=claims_6_19, size=(17.0, 5.8),
+        experiment=_PARKED, draw=_draw_6_19, claims=_claims_6_19, size=(17.0, 5.8),
     ),
     Figure(
         name="N6.20", title="Car park, simulated: the landmark under a dynamic area is removed",
         says="The areas are laid over the map of high level landmarks; the landmark under one of "
         "them is removed from the state vector.",
-        experiment=_PARKED, draw=draw_6_20, claims=claims_6_20, size=(8.5, 7.5),
+        experiment=_PARKED, draw=_draw_6_20, claims=_claims_6_20, size=(8.5, 7.5),
     ),
 )  # fmt: skip
 
@@ -449,8 +393,7 @@ _SAMPLE_S = 0.02
 class DynamicScore:
     """Cells that are dynamic and cells that something moved over, among those ever seen.
 
-    precision, recall: NaN where there is nothing to divide by. middle: (P, 2) [m] of the connected
-    places found.
+    precision, recall: NaN of none. middle: (P, 2) [m] of the connected places found.
     """
 
     precision: float
@@ -465,10 +408,7 @@ def score_dynamic(
     seen = layer.grid.samples(placed).point
     truth = moved_over(tuple(movers), seen, np.arange(0.0, duration_s, _SAMPLE_S))
     found = layer.covers(seen, placed)
-    right = float(np.count_nonzero(truth & found))
-    with np.errstate(invalid="ignore"):
-        shares = np.array((right, right)) / (np.count_nonzero(found), np.count_nonzero(truth))
-    return DynamicScore(float(shares[0]), float(shares[1]), middles(layer.points(placed)))
+    return DynamicScore(mean(truth[found]), mean(found[truth]), middles(layer.points(placed)))
 
 
 def middles(point: Array) -> Array:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -29,16 +28,10 @@ from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-)
+from comparisons.experiments.reproduction.drives import true_surroundings
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_occupied
@@ -171,19 +164,17 @@ def ways(place: Array, held: Samples) -> list[Array]:
     something, and keeps CLEARANCE_M from what is occupied, but at its start. Raises InputError for
     none.
     """
-    side = 2 * math.ceil(WAY_M / CELL_M) + 1
-    count = np.array((side, side))
-    row, column = np.divmod(np.arange(side * side), side)
-    cell = place + CELL_M * (np.column_stack((column, row)) - side // 2)
+    half = math.ceil(WAY_M / CELL_M)
+    north, east = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1)
+    cell = place + CELL_M * np.column_stack((east, north))
     start = len(cell) // 2
     occupied = held.point[held.occupancy > OCCUPIED]
     free = cKDTree(occupied).query(cell)[0] >= CLEARANCE_M + 0.5 * CELL_M
     free &= cKDTree(held.point).query(cell)[0] <= 0.5 * CELL_M
     free[start] = True
-    ends = [
-        _neighbours(column, row, count, free, *step) for step in ((1, 0), (0, 1), (1, 1), (1, -1))
-    ]
-    first, second = np.concatenate(ends, axis=1)
+    first, second = cKDTree(cell).query_pairs(1.5 * CELL_M, output_type="ndarray").T
+    both = free[first] & free[second]
+    first, second = first[both], second[both]
     length = np.linalg.norm(cell[first] - cell[second], axis=1)
     graph = coo_array((length, (first, second)), shape=(len(cell), len(cell))).tocsr()
     away, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
@@ -198,16 +189,6 @@ def ways(place: Array, held: Samples) -> list[Array]:
     if not found:
         raise InputError(f"no free way of {WAY_M:g} m over the map")
     return found
-
-
-def _neighbours(
-    column: Index, row: Index, count: Index, free: NDArray[np.bool_], right: int, up: int
-) -> Index:
-    """(2, E) pairs of free cells, the second so far right of and above the first."""
-    there = (column + right < count[0]) & (row + up < count[1]) & (row + up >= 0)
-    first = np.flatnonzero(there)
-    second = first + right + up * count[0]
-    return np.stack((first, second))[:, free[first] & free[second]]
 
 
 def _traced(cell: Array, before: Index, end: int) -> Array:
@@ -301,9 +282,7 @@ def next_path(sources: Sources) -> NextPath:
 
 def of_log(log: Log) -> NextPath:
     """Candidates from where a log ends. Raises InputError for a log without true surfaces."""
-    if log.truth.surfaces is None:
-        raise InputError(f"{log.name}: true surfaces are needed")
-    timeline = build_timeline(log)
+    segment, timeline = true_surroundings(log)[1], build_timeline(log)
     watcher = DenseWatcher(log, DenseMapsConfig(layers=("occupancy",)))
     ekf = build_ekf(log, settle(EkfConfig(), log), Trace())
     driven, landmark_index = [], []
@@ -339,7 +318,7 @@ def of_log(log: Log) -> NextPath:
         driven=np.array(driven)[:, :2],
         landmark=landmark.copy(),
         held=held,
-        segment=log.truth.surfaces.segment,
+        segment=segment,
     )
 
 
@@ -360,44 +339,30 @@ def _side(first: Array, second: Array, point: Array) -> Array:
     return side
 
 
-def claims(found: NextPath) -> Claims:
-    """Filter and smoother agree on a choice that the map allows."""
+def _claims_7_2_4(found: NextPath) -> Claims:
     ours, theirs = found.by_filter, found.by_smoother
     spread = np.ptp(theirs.gain)
-    yield at_most(
+    text = (
         "filter and smoother agree on what each path would gain (largest difference over the "
-        "spread of the paths)",
-        np.abs(ours.gain - theirs.gain).max() / spread,
-        _AGREED,
-        own=True,
+        "spread of the paths)"
     )
-    yield at_most(
+    yield at_most(text, np.abs(ours.gain - theirs.gain).max() / spread, _AGREED, own=True)
+    less = theirs.gain.max() - theirs.gain[ours.gain.argmax()]
+    text = (
         "and choose alike (what the smoother would gain less by the filter's choice than by its "
-        "own, over the spread)",
-        (theirs.gain.max() - theirs.gain[ours.gain.argmax()]) / spread,
-        _AGREED,
-        own=True,
+        "own, over the spread)"
     )
-    yield at_most(
-        "by the trace, too (what the filter's choice would leave more, over the spread)",
-        (theirs.trace_m2[ours.trace_m2.argmin()] - theirs.trace_m2.min()) / np.ptp(theirs.trace_m2),
-        _AGREED,
-        own=True,
-    )
-    yield at_most(
-        "no path over the dense map crosses a true surface (crossings)",
-        sum(crossings(way, found.segment) for way in found.way),
-        0.0,
-    )
-    yield at_least(
-        "which straight ways to the same ends do (crossings)",
-        sum(crossings(way[[0, -1]], found.segment) for way in found.way),
-        1.0,
-    )
+    yield at_most(text, less / spread, _AGREED, own=True)
+    more = theirs.trace_m2[ours.trace_m2.argmin()] - theirs.trace_m2.min()
+    text = "by the trace, too (what the filter's choice would leave more, over the spread)"
+    yield at_most(text, more / np.ptp(theirs.trace_m2), _AGREED, own=True)
+    text = "no path over the dense map crosses a true surface (crossings)"
+    yield at_most(text, sum(crossings(way, found.segment) for way in found.way), 0.0)
+    text = "which straight ways to the same ends do (crossings)"
+    yield at_least(text, sum(crossings(way[[0, -1]], found.segment) for way in found.way), 1.0)
 
 
-def draw(canvas: Canvas, found: NextPath) -> None:
-    """The candidates over the map, and what each would gain."""
+def _draw_7_2_4(canvas: Canvas, found: NextPath) -> None:
     left, right = canvas.subplots(1, 2)
     ours, theirs = found.by_filter.gain, found.by_smoother.gain
     draw_occupied(left, found.held)
@@ -417,11 +382,11 @@ def draw(canvas: Canvas, found: NextPath) -> None:
 _AGREED = 0.1
 EXPERIMENT = Experiment("section 7.2.4", next_path)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N7.2.4", place="section 7.2.4", title="The next path, by what it would leave unknown",
         says="Future research: with a dense map the next path can be planned, and chosen for what "
         "it would add to the information of the whole system.",
-        experiment=EXPERIMENT, draw=draw, claims=claims, size=(11.0, 5.0),
+        experiment=EXPERIMENT, draw=_draw_7_2_4, claims=_claims_7_2_4, size=(11.0, 5.0),
     ),
 )  # fmt: skip

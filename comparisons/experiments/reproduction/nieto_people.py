@@ -15,16 +15,10 @@ from matplotlib.figure import Figure as Canvas
 from scipy.linalg import block_diag
 
 from comparisons.arrays import Array
+from comparisons.experiments.reproduction.claims import Claims, at_most, within
 from comparisons.experiments.reproduction.drawing import chart, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_most,
-    within,
-)
+from comparisons.experiments.reproduction.drives import Drives
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.statistics import mean_band, normalise
@@ -188,18 +182,10 @@ class PeopleDrive:
     one_way: Tracks
 
 
-@dataclass(frozen=True)
-class PeopleDrives:
-    """Of some drives; the first is drawn."""
-
-    log: str
-    each: tuple[PeopleDrive, ...]
-
-
-def people_drives(sources: Sources) -> PeopleDrives:
+def people_drives(sources: Sources) -> Drives[PeopleDrive]:
     """Seeds from 0."""
     each = tuple(_drive(np.random.default_rng(seed)) for seed in range(sources.drives))
-    return PeopleDrives(f"{_PEOPLE} people walk, {len(each)} simulated drives from seed 0", each)
+    return Drives(f"{_PEOPLE} people walk, {len(each)} simulated drives from seed 0", each)
 
 
 def _drive(rng: np.random.Generator) -> PeopleDrive:
@@ -236,8 +222,7 @@ def _drive(rng: np.random.Generator) -> PeopleDrive:
     return PeopleDrive(poses, people, landmark, *tracks)
 
 
-def claims_3_7_1(found: PeopleDrives) -> Claims:
-    """What people tell the robot, and what the tracks are without it."""
+def _claims_3_7_1(found: Drives[PeopleDrive]) -> Claims:
     drives = found.each
     gap = [(d.full.person - d.one_way.person)[:, :, :2].reshape(-1, 2) for d in drives]
     own = [d.one_way.own[:, :, :2, :2].reshape(-1, 2, 2) for d in drives]
@@ -248,42 +233,30 @@ def claims_3_7_1(found: PeopleDrives) -> Claims:
     one = [d.one_way.person[-1, 0] - d.person[-1, 0] for d in drives]
     person = normalise(np.array(one), np.array([d.one_way.own[-1, 0] for d in drives]))
     rest, people = 3 + drives[0].landmark.size, drives[0].person[0].size
-    yield within(
+    ratio = np.mean([d.full.sigma_m / d.one_way.sigma_m for d in drives])
+    text = (
         "people tell the robot little, as they walk at random (standard deviation of its place, "
-        "full filter over unidirectional, mean of all scans and drives)",
-        np.mean([d.full.sigma_m / d.one_way.sigma_m for d in drives]),
-        (0.9, 1.0),
-        own=True,
+        "full filter over unidirectional, mean of all scans and drives)"
     )
-    yield at_most(
-        "the tracks are the same (RMS difference of places along each axis, in their sigmas)",
-        np.sqrt(np.mean(apart.squared) / 2.0),
-        0.3,
-        own=True,
-    )
+    yield within(text, ratio, (0.9, 1.0), own=True)
+    text = "the tracks are the same (RMS difference of places along each axis, in their sigmas)"
+    yield at_most(text, np.sqrt(np.mean(apart.squared) / 2.0), 0.3, own=True)
     for name, squared, dof in (("the robot", robot.squared, 3), ("a person", person.squared, 4)):
-        yield within(
+        text = (
             f"the unidirectional filter is consistent: {name} errs as stated (mean NEES at the "
-            "end of the drives; limits: its 95 % band)",
-            np.mean(squared),
-            mean_band(len(drives), dof),
+            "end of the drives; limits: its 95 % band)"
         )
-    yield at_most(
+        yield within(text, np.mean(squared), mean_band(len(drives), dof))
+    text = (
         "of the covariance N1 (N1 + N2) elements and each person's own are kept (number; "
-        f"N1 = {rest}, N2 = {people}, of which a person has 4)",
-        max(d.one_way.kept for d in drives),
-        rest * (rest + people) + 4 * people,
+        f"N1 = {rest}, N2 = {people}, of which a person has 4)"
     )
-    yield at_most(
-        "which costs less: elements that an update changes, over those of the full filter",
-        max(d.one_way.kept / d.full.kept for d in drives),
-        0.5,
-        own=True,
-    )
+    yield at_most(text, max(d.one_way.kept for d in drives), rest * (rest + people) + 4 * people)
+    text = "which costs less: elements that an update changes, over those of the full filter"
+    yield at_most(text, max(d.one_way.kept / d.full.kept for d in drives), 0.5, own=True)
 
 
-def draw_3_7_1(canvas: Canvas, found: PeopleDrives) -> None:
-    """The tracks, and how well the robot is known."""
+def _draw_3_7_1(canvas: Canvas, found: Drives[PeopleDrive]) -> None:
     left, right = canvas.subplots(1, 2, width_ratios=(1.2, 1.0))
     one = found.each[0]
     draw_reference(left, one.landmark, "*", "landmarks")
@@ -300,12 +273,12 @@ def draw_3_7_1(canvas: Canvas, found: PeopleDrives) -> None:
     chart(right, "standard deviation of the robot's place", "time [s]", "[m]")
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.7.1", title="People tracked by the unidirectional information flow",
         says="People walk at random and tell a robot that does SLAM nothing, while their tracks "
         "receive what it learns: covariances among people need not be kept.",
-        experiment=Experiment("section 3.7.1", people_drives), draw=draw_3_7_1,
-        claims=claims_3_7_1, size=(12.0, 5.4), place="section 3.7.1",
+        experiment=Experiment("section 3.7.1", people_drives), draw=_draw_3_7_1,
+        claims=_claims_3_7_1, size=(12.0, 5.4), place="section 3.7.1",
     ),
 )  # fmt: skip

@@ -14,24 +14,16 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, theirs
 from comparisons.experiments.reproduction.drawing import chart, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    theirs,
-)
-from comparisons.experiments.reproduction.nieto_slam import closing_s
-from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
+from comparisons.experiments.reproduction.drives import Drives, truth_in_order, watched_run
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.nieto_slam import Moment, closing_s
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.report.figures.style import draw_reference
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
-from ekf_reference.core.layout import Layout
+from ekf_reference.core.state import correlation_coefficients
 from ekf_reference.dense.decorrelation import (
     Correlations,
     Displacements,
@@ -45,12 +37,31 @@ EXTRA_S = 10.0
 _SETTLING_S = 2.0
 
 
-@dataclass(frozen=True)
-class Examples:
-    """One per drive; the first is drawn. closing_s: when each sees its start again."""
+@dataclass(frozen=True, kw_only=True)
+class DecorrelationExample:
+    """The figures' data after each of T scans, from when the point is fused.
 
-    log: str
-    each: tuple[DecorrelationExample, ...]
+    triangle: (T, 3, 2), point: (T, 2) and distant: (T, 2) [m]. with_base: (T, 3, 2) correlation
+    coefficients of the point with the base landmarks, in east and north. correlations: arrays
+    (T, 2, 2) and (T, 2) of the distant landmark with the point. moved: (T,) since the first scan.
+    landmark: (L, 2) all of the map at the first scan. true_point: (2,) [m].
+    """
+
+    time_s: Array
+    triangle: Array
+    point: Array
+    distant: Array
+    with_base: Array
+    correlations: Correlations
+    moved: Displacements
+    landmark: Array
+    true_point: Array
+
+
+@dataclass(frozen=True)
+class Examples(Drives[DecorrelationExample]):
+    """closing_s: when each drive sees its start again."""
+
     closing_s: tuple[float, ...]
 
 
@@ -65,8 +76,7 @@ def examples(sources: Sources) -> Examples:
     )
 
 
-def claims_3_5(found: Examples) -> Claims:
-    """In its region a point is correlated with nothing else."""
+def _claims_3_5(found: Examples) -> Claims:
     before = [e.time_s < t - 1e-6 for e, t in zip(found.each, found.closing_s, strict=True)]
 
     def until(values: list[Array]) -> Array:
@@ -82,90 +92,47 @@ def claims_3_5(found: Examples) -> Claims:
         f"once the loop is closed the point is known well in the world, too (sigma {known[1]:.2f} "
         f"m instead of {known[0]:.2f})"
     )
-    yield at_least(
-        "the point's correlation with its region's landmarks is high (least)",
-        min(w.min() for w in with_base),
-        0.9,
-        why=theirs(f"until the loop closes it is {until(with_base).min():.2f}; {closed}"),
-        own=True,
-    )
-    yield at_least(
-        "with a distant landmark it is almost one in the world (least until the loop closes)",
-        until(world).min(),
-        0.95,
-        why=theirs(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}"),
-        own=True,
-    )
-    yield at_most(
-        "and almost zero in the region (largest)",
-        max(c.max() for c in local),
-        0.1,
-        why=theirs(f"until the loop closes it is {until(local).max():.2f}; {closed}"),
-        own=True,
-    )
-    yield at_most(
-        "its deviation is much smaller in the region than in the world (largest ratio)",
-        max(r.max() for r in ratio),
-        0.2,
-        why=theirs(f"until the loop closes it is {until(ratio).max():.2f}; {closed}"),
-        own=True,
-    )
+    why = theirs(f"until the loop closes it is {until(with_base).min():.2f}; {closed}")
+    text = "the point's correlation with its region's landmarks is high (least)"
+    yield at_least(text, min(w.min() for w in with_base), 0.9, why=why, own=True)
+    why = theirs(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}")
+    text = "with a distant landmark it is almost one in the world (least until the loop closes)"
+    yield at_least(text, until(world).min(), 0.95, why=why, own=True)
+    why = theirs(f"until the loop closes it is {until(local).max():.2f}; {closed}")
+    text = "and almost zero in the region (largest)"
+    yield at_most(text, max(c.max() for c in local), 0.1, why=why, own=True)
+    why = theirs(f"until the loop closes it is {until(ratio).max():.2f}; {closed}")
+    text = "its deviation is much smaller in the region than in the world (largest ratio)"
+    yield at_most(text, max(r.max() for r in ratio), 0.2, why=why, own=True)
 
 
-def claims_3_12(found: Examples) -> Claims:
-    """What later scans would move in the world hardly moves in the region."""
+def _claims_3_12(found: Examples) -> Claims:
     world = np.array([e.moved.world_m.max() for e in found.each])
     local = np.array([e.moved.local_m.max() for e in found.each])
     unsettled = [
         float(np.ptp(e.moved.local_m[e.time_s >= closing + _SETTLING_S]))
         for e, closing in zip(found.each, found.closing_s, strict=True)
     ]
-    yield at_least(
-        "in the world the point moves by more than half a metre (median of drives)",
-        np.median(world),
-        0.5,
-        "m",
-        why=theirs(
-            "the thesis shows one drive; how far a closing moves a map is luck: here "
-            f"{world.min():.2f} to {world.max():.2f} m"
-        ),
+    why = theirs(
+        "the thesis shows one drive; how far a closing moves a map is luck: here "
+        f"{world.min():.2f} to {world.max():.2f} m"
     )
-    yield at_most(
-        "in its region it moves by about 0.1 m (largest of all drives)",
-        local.max(),
-        0.1,
-        "m",
-        why=theirs(
-            f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
-            f"in the median {np.median(local):.2f} m"
-        ),
+    text = "in the world the point moves by more than half a metre (median of drives)"
+    yield at_least(text, np.median(world), 0.5, "m", why=why)
+    why = theirs(
+        f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
+        f"in the median {np.median(local):.2f} m"
     )
-    yield at_most(
-        "which is a fifth of its motion in the world (median ratio)",
-        np.median(local / world),
-        0.2,
+    text = "in its region it moves by about 0.1 m (largest of all drives)"
+    yield at_most(text, local.max(), 0.1, "m", why=why)
+    text = "which is a fifth of its motion in the world (median ratio)"
+    yield at_most(text, np.median(local / world), 0.2)
+    why = theirs(
+        "the thesis shows one drive; so it does in "
+        f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
     )
-    yield at_most(
-        f"{_SETTLING_S:.0f} s after the closing it stays where it is (largest range)",
-        max(unsettled),
-        0.02,
-        "m",
-        why=theirs(
-            "the thesis shows one drive; so it does in "
-            f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
-        ),
-        own=True,
-    )
-
-
-def draw_3_5(canvas: Canvas, found: Examples) -> None:
-    """Example 3.1."""
-    draw_example_3_1(canvas, found.each[0])
-
-
-def draw_3_12(canvas: Canvas, found: Examples) -> None:
-    """Example 3.2."""
-    draw_example_3_2(canvas, found.each[0])
+    text = f"{_SETTLING_S:.0f} s after the closing it stays where it is (largest range)"
+    yield at_most(text, max(unsettled), 0.02, "m", why=why, own=True)
 
 
 WORLD_COLOUR, LOCAL_COLOUR = EKF_COLOUR, SMOOTHER_COLOUR
@@ -173,7 +140,27 @@ _CORNER_COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)
 _AROUND_M = 12.0
 
 
-def draw_region(axis: Axes, example: DecorrelationExample) -> None:
+def draw_3_5(canvas: Canvas, found: Examples) -> None:
+    """Example 3.1: solid in east or along axis a, dashed in north or along axis b."""
+    axes, one = canvas.subplots(2, 2).ravel(), found.each[0]
+    _draw_region(axes[0], one)
+    for corner, colour in enumerate(_CORNER_COLOURS):
+        _along_both(axes[1], one.time_s, one.with_base[:, corner], colour, f"L{corner + 1}")
+    chart(axes[1], "", "time [s]", "correlation, base and point")
+    c = one.correlations
+    world, local = (np.diagonal(of, axis1=1, axis2=2) for of in (c.world, c.local))
+    for axis, of, in_world, in_region in (
+        (axes[2], "correlation, $j$ and point", world, local),
+        (axes[3], "standard deviation [m]", c.sigma_world_m, c.sigma_local_m),
+    ):
+        _along_both(axis, one.time_s, in_world, WORLD_COLOUR, "in the world")
+        _along_both(axis, one.time_s, in_region, LOCAL_COLOUR, "in its region")
+        chart(axis, "", "time [s]", of)
+    axes[2].set_ylim(-0.02, 1.02)
+    axes[3].set_ylim(bottom=0.0)
+
+
+def _draw_region(axis: Axes, example: DecorrelationExample) -> None:
     """The region's axes, the point in it and the distant landmark (Nieto 2005, Fig. 3.5 a)."""
     first, second, third = example.triangle[0]
     point, distant = example.point[0], example.distant[0]
@@ -183,75 +170,28 @@ def draw_region(axis: Axes, example: DecorrelationExample) -> None:
     axis.plot(*np.stack((first, point)).T, ":", color=WORLD_COLOUR, label="point $i$ in its region")
     axis.plot(*np.stack((point, distant)).T, "--", color=SCANS_COLOUR, label="to landmark $j$")
     axis.plot(*point, "o", color=WORLD_COLOUR, markersize=5)
-    shown = np.concatenate((example.triangle[0], point[None], distant[None]))
-    frame(axis, shown, _AROUND_M)
+    frame(axis, np.concatenate((example.triangle[0], point[None], distant[None])), _AROUND_M)
     plan(axis, "", legend="best")
 
 
-def draw_base_correlation(axis: Axes, time_s: Array, coefficients: Array) -> None:
-    """Of the point with its base landmarks, (T, 3, 2) in east and north (Fig. 3.5 b)."""
-    for corner, colour in enumerate(_CORNER_COLOURS):
-        axis.plot(time_s, coefficients[:, corner, 0], "-", color=colour, label=f"L{corner + 1}")
-        axis.plot(time_s, coefficients[:, corner, 1], "--", color=colour)
-    chart(axis, "", "time [s]", "correlation, base and point")
+def _along_both(axis: Axes, time_s: Array, value: Array, colour: str, name: str) -> None:
+    """(T, 2) over time (T,): solid the first, dashed the second."""
+    axis.plot(time_s, value[:, 0], "-", color=colour, label=name)
+    axis.plot(time_s, value[:, 1], "--", color=colour)
 
 
-def draw_decorrelation(axis: Axes, time_s: Array, world: Array, local: Array) -> None:
-    """Coefficients (T, 2, 2) of a distant landmark with the point (Fig. 3.5 c)."""
-    ours = (np.diagonal(of, axis1=1, axis2=2) for of in (world, local))
-    _draw_both(axis, time_s, *ours)
-    axis.set_ylim(-0.02, 1.02)
-    chart(axis, "", "time [s]", "correlation, $j$ and point")
-
-
-def draw_sigma(axis: Axes, time_s: Array, world_m: Array, local_m: Array) -> None:
-    """Standard deviations (T, 2) of the point (Fig. 3.5 d)."""
-    _draw_both(axis, time_s, world_m, local_m)
-    axis.set_ylim(bottom=0.0)
-    chart(axis, "", "time [s]", "standard deviation [m]")
-
-
-def _draw_both(axis: Axes, time_s: Array, world: Array, local: Array) -> None:
-    """(T, 2) each: solid in east or along axis a, dashed in north or along axis b."""
-    for value, colour, name in (
-        (world, WORLD_COLOUR, "in the world"),
-        (local, LOCAL_COLOUR, "in its region"),
-    ):
-        axis.plot(time_s, value[:, 0], "-", color=colour, label=name)
-        axis.plot(time_s, value[:, 1], "--", color=colour)
-
-
-def draw_displacement(axis: Axes, time_s: Array, world_m: Array, local_m: Array) -> None:
-    """How far the point has moved, (T,) each (Nieto 2005, Fig. 3.12 a)."""
-    axis.plot(time_s, world_m, "-", color=WORLD_COLOUR, label="in the world")
-    axis.plot(time_s, local_m, "--", color=LOCAL_COLOUR, label="in its region")
-    chart(axis, "", "time [s]", "change of place [m]")
-
-
-def draw_wandering(axis: Axes, point: Array, true_point: Array | None) -> None:
-    """The point (T, 2) in the world as time goes on, and where it is (Fig. 3.12 b)."""
-    axis.plot(*point.T, ".", color=WORLD_COLOUR, markersize=4, label="estimates")
-    axis.plot(*point[0], "o", color=WORLD_COLOUR, markerfacecolor="none", label="the first")
-    if true_point is not None:
-        draw_reference(axis, true_point[None], "*", "truth")
-    axis.set_aspect("equal", adjustable="datalim")
-    chart(axis, "", "east [m]", "north [m]")
-
-
-def draw_example_3_1(figure: Canvas, example: DecorrelationExample) -> None:
-    """Nieto 2005, Fig. 3.5: solid in east or along axis a, dashed in north or along axis b."""
-    axes, found, time = figure.subplots(2, 2).ravel(), example.correlations, example.time_s
-    draw_region(axes[0], example)
-    draw_base_correlation(axes[1], time, example.with_base)
-    draw_decorrelation(axes[2], time, found.world, found.local)
-    draw_sigma(axes[3], time, found.sigma_world_m, found.sigma_local_m)
-
-
-def draw_example_3_2(figure: Canvas, example: DecorrelationExample) -> None:
-    """Nieto 2005, Fig. 3.12."""
-    left, right = figure.subplots(1, 2)
-    draw_displacement(left, example.time_s, example.moved.world_m, example.moved.local_m)
-    draw_wandering(right, example.point, example.true_point)
+def draw_3_12(canvas: Canvas, found: Examples) -> None:
+    """Example 3.2: how far the point has moved, and its estimates in the world."""
+    (left, right), one = canvas.subplots(1, 2), found.each[0]
+    left.plot(one.time_s, one.moved.world_m, "-", color=WORLD_COLOUR, label="in the world")
+    left.plot(one.time_s, one.moved.local_m, "--", color=LOCAL_COLOUR, label="in its region")
+    chart(left, "", "time [s]", "change of place [m]")
+    first = one.point[0]
+    right.plot(*one.point.T, ".", color=WORLD_COLOUR, markersize=4, label="estimates")
+    right.plot(*first, "o", color=WORLD_COLOUR, markerfacecolor="none", label="the first")
+    draw_reference(right, one.true_point[None], "*", "truth")
+    right.set_aspect("equal", adjustable="datalim")
+    chart(right, "", "east [m]", "north [m]")
 
 
 DISTANT_M = 15.0
@@ -312,45 +252,9 @@ def _around(point: int, true: Array, view: NDArray[np.bool_]) -> tuple[int, int,
     return first, second, third
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """The filter after a scan. landmark: (L, 2) [m]. covariance: (n, n) of the pose and these."""
-
-    time_s: float
-    landmark: Array
-    covariance: Array
-
-    def among(self, *landmark_index: int) -> Array:
-        """(2 k, 2 k) covariance of k landmarks, in this order."""
-        layout = Layout.packed(3, len(self.landmark))
-        columns = layout.columns(np.array(landmark_index))[3:]
-        return self.covariance[np.ix_(columns, columns)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class DecorrelationExample:
-    """The figures' data after each of T scans, from when the point is fused.
-
-    triangle: (T, 3, 2), point: (T, 2) and distant: (T, 2) [m]. with_base: (T, 3, 2) correlation
-    coefficients of the point with the base landmarks, in east and north. correlations: arrays
-    (T, 2, 2) and (T, 2) of the distant landmark with the point. moved: (T,) since the first scan.
-    landmark: (L, 2) all of the map at the first scan. true_point: (2,) [m], None if unknown.
-    """
-
-    time_s: Array
-    triangle: Array
-    point: Array
-    distant: Array
-    with_base: Array
-    correlations: Correlations
-    moved: Displacements
-    landmark: Array
-    true_point: Array | None
-
-
 def decorrelation_example(log: Log) -> DecorrelationExample:
     """Drive a labelled log and follow its cast. Raises InputError where there is none."""
-    cast, order = rightmost(log), log.measurements.labels_in_order
+    cast, true = rightmost(log), truth_in_order(log)[1]
     seen = list(fused_until(log, cast))
     triangle = np.stack([now.landmark[list(cast.base)] for now in seen])
     point = np.stack([now.landmark[cast.point] for now in seen])
@@ -358,10 +262,8 @@ def decorrelation_example(log: Log) -> DecorrelationExample:
     for now, corners, at in zip(seen, triangle, point, strict=True):
         joint = now.among(cast.distant, *cast.base, cast.point)
         found.append(correlations(corners, at, joint))
-        sigma = np.sqrt(np.diag(joint))
-        rho = np.abs(joint) / np.outer(sigma, sigma)
+        rho = correlation_coefficients(joint)
         with_base.append([rho[[2 * i, 2 * i + 1], [8, 9]] for i in (1, 2, 3)])
-    true = log.truth.landmarks
     return DecorrelationExample(
         time_s=np.array([now.time_s for now in seen]),
         triangle=triangle,
@@ -371,33 +273,33 @@ def decorrelation_example(log: Log) -> DecorrelationExample:
         correlations=Correlations(*(np.stack(column) for column in zip(*found, strict=True))),
         moved=displacements(triangle[0], point[0], triangle, point),
         landmark=seen[0].landmark,
-        true_point=None if true is None else true.position_m[true.id == order[cast.point]][0],
+        true_point=true[cast.point],
     )
 
 
-def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
+def fused_until(log: Log, cast: Cast) -> Iterator[Moment]:
     """The filter from when the point, like a dense one, has got its last look."""
-    measurements = log.measurements
+    measurements, true = log.measurements, truth_in_order(log)[1]
     label = measurements.labels_in_order[cast.point]
     keep = (measurements.landmark != label) | (measurements.time_s <= cast.fused_s)
-    for time, ekf in watched_run(replace(log, measurements=measurements.chosen(keep))):
-        if time >= cast.fused_s:
-            yield Snapshot(time, ekf.state.landmarks, ekf.state.covariance.copy())
+    for time_s, ekf in watched_run(replace(log, measurements=measurements.chosen(keep))):
+        if time_s >= cast.fused_s:
+            yield Moment.of(time_s, ekf, true)
 
 
 EXPERIMENT = Experiment("Examples 3.1 and 3.2", examples)
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N3.5", title="Decorrelation of a point within its region",
         says="A point close to three landmarks is highly correlated with them; expressed in their "
         "frame it is almost uncorrelated with the rest of the map, and far better known.",
-        experiment=EXPERIMENT, draw=draw_3_5, claims=claims_3_5, size=(9.0, 7.5),
+        experiment=EXPERIMENT, draw=draw_3_5, claims=_claims_3_5, size=(9.0, 7.5),
     ),
     Figure(
         name="N3.12", title="Change of the same point's place, in the world and in its region",
         says="Where the point would move by more than half a metre in the world, it moves by about "
         "a tenth of a metre in its region, and soon not at all: that is what a dense map neglects.",
-        experiment=EXPERIMENT, draw=draw_3_12, claims=claims_3_12, size=(9.0, 4.2),
+        experiment=EXPERIMENT, draw=draw_3_12, claims=_claims_3_12, size=(9.0, 4.2),
     ),
 )  # fmt: skip

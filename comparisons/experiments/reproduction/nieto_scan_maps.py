@@ -14,6 +14,7 @@ from matplotlib.patches import Polygon
 from comparisons.arrays import Array
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, ours
 from comparisons.experiments.reproduction.drawing import (
     SIGMAS,
     TRUE_PATH_COLOUR,
@@ -21,18 +22,11 @@ from comparisons.experiments.reproduction.drawing import (
     frame,
     plan,
 )
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    ours,
-)
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import occupied
-from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error
+from comparisons.experiments.reproduction.nieto_scan_slam import first_measurements, true_axes
+from comparisons.extensions.dense_maps.accuracy import near_share, surface_error
 from comparisons.extensions.dense_maps.config import DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.figure import (
     DENSE_COLOUR,
@@ -48,8 +42,7 @@ from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSourc
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
-from ekf_reference.core.geometry import wrap_angle
-from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.core.geometry import rotation, wrap_angle
 from ekf_reference.scan_landmarks.local_context import LocalContext
 from ekf_reference.scan_landmarks.map_aided_matching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlamOptions
@@ -63,6 +56,7 @@ from ekf_reference.scan_landmarks.templates import (
 )
 from ekf_reference.scan_matching.alignment import align
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from graphslam.scan import planar
 
 LAYERS: tuple[Layer, ...] = ("occupancy", "sog")
 _MOST_DRIVES = 2
@@ -72,23 +66,24 @@ _DRAWS = 2
 _SCANS = 2
 _APART_M = 6.0
 """Least way between the scan of a template and one that it is aligned with."""
-_MEASURED = RelativePose()
 _NEAR_M = 0.5
 _MARK_M = 0.5
 
 
 @dataclass(frozen=True)
 class ScanMap:
-    """A dense map between scan landmarks, whose loop was closed. found: the landmarks."""
+    """A dense map between scan landmarks, whose loop was closed. found: the landmarks.
+
+    segment: (S, 4) true surfaces. born: (Q, 3) the vehicle's true pose when each template was
+    taken. true: (Q, 3) where the landmarks' axes are, as seen from there.
+    """
 
     mapping: DenseMapping
     found: ScanLandmarks
     before: BeforeClosing
     segment: Array
-
-    def error_before(self, layer: str) -> SurfaceError:
-        """Of a layer, before the closing."""
-        return surface_error(self.before.layers[layer], self.segment)
+    born: Array
+    true: Array
 
     @property
     def template_point(self) -> Array:
@@ -99,6 +94,12 @@ class ScanMap:
     def covered(self, point: Array) -> float:
         """Share of the true surfaces that some of the points (N, 2) lie beside."""
         return near_share(_marks(self.segment), point, _NEAR_M)
+
+    def around(self, landmark_index: int) -> SumOfGaussians | None:
+        """What the map holds around a landmark, in its axis."""
+        place = self.mapping.ekf.pose_landmark_places[landmark_index]
+        template = self.found.template[landmark_index]
+        return LocalContext(self.mapping.dense.dense).around(template, place)
 
 
 @dataclass(frozen=True)
@@ -112,11 +113,9 @@ class Surrounded:
 
 
 @dataclass(frozen=True)
-class ScanMaps:
-    """Of some drives; the first is drawn. shown: the landmark with most around it."""
+class ScanMaps(Drives[ScanMap]):
+    """shown: the landmark of the first drive with most around it."""
 
-    log: str
-    each: tuple[ScanMap, ...]
     basin: ConvergenceBasin
     shown: Surrounded
 
@@ -132,41 +131,38 @@ def of_logs(logs: list[Log], reported: str) -> ScanMaps:
     """The same of any drives with truth. Raises InputError."""
     each = tuple(_mapped(log) for log in logs)
     cases = [case for one in each for case in cases_of(one)]
-    held = basin(cases, ERRORS_M, _DRAWS, np.random.default_rng(0))
-    return ScanMaps(reported, each, held, _shown(each[0]))
+    return ScanMaps(reported, each, basin(cases, np.random.default_rng(0)), _shown(each[0]))
 
 
 def _mapped(log: Log) -> ScanMap:
     between = ScanLandmarksConfig(landmarks="scans")
     extensions = {"scan_landmarks": between, "dense_maps": DenseMapsConfig(layers=LAYERS)}
     mapping = map_log(log, MapConfig(extensions=extensions))
-    source, before, surfaces = (
-        mapping.setup.find(ScanSlamSource),
-        mapping.dense.before,
-        log.truth.surfaces,
-    )
-    if source is None or before is None or surfaces is None:
-        raise InputError(f"{log.name}: no loop was closed, or there are no true surfaces")
-    return ScanMap(mapping, source.found, before, surfaces.segment)
+    source, before, run = mapping.setup.find(ScanSlamSource), mapping.dense.before, mapping.ekf
+    if source is None or before is None:
+        raise InputError(f"{log.name}: no loop was closed")
+    poses, segment = true_surroundings(log)
+    first = first_measurements(run)
+    born = poses.at(run.estimate.time_s[run.pose_landmarks.pose[first]])
+    true = true_axes(born, run.pose_landmarks.measured[first])
+    return ScanMap(mapping, source.found, before, segment, born, true)
 
 
 def cases_of(one: ScanMap) -> list[Seen]:
     """Every landmark with surroundings, in a few scans from elsewhere that have it in view."""
     log, cases = one.mapping.log, list[Seen]()
-    scans, truth = LogScans(log), log.truth.poses
-    if truth is None:
-        raise InputError(f"{log.name}: true poses are needed")
-    vehicle = truth.at(scans.time_s)
-    scanner = _composed(vehicle, scans.mount)
-    for landmark_index, true in enumerate(_true_places(one)):
-        template, around = one.found.template[landmark_index], _around(one, landmark_index)
+    scans = LogScans(log)
+    vehicle = true_surroundings(log)[0].at(scans.time_s)
+    scanner = np.array([planar.compose(pose, scans.mount) for pose in vehicle])
+    for landmark_index, (born, true) in enumerate(zip(one.born, one.true, strict=True)):
+        template, around = one.found.template[landmark_index], one.around(landmark_index)
         if around is None:
             continue
-        away = np.linalg.norm(vehicle[:, :2] - _born_at(one, landmark_index)[:2], axis=1)
+        away = np.linalg.norm(vehicle[:, :2] - born[:2], axis=1)
         reach = np.linalg.norm(scanner[:, :2] - true[:2], axis=1) <= scans.view.reach_m
         seen = []
         for number in np.flatnonzero((away > _APART_M) & reach)[::5].tolist():
-            z = _MEASURED.predict(scanner[number], true[None]).z[0]
+            z = planar.between(scanner[number], true)
             scan = scans.shape(number)
             if len(scan) and share_in_view(template, scan, z, scans.view) >= scans.view.share:
                 seen.append(Seen(template, around, scan, z))
@@ -174,63 +170,19 @@ def cases_of(one: ScanMap) -> list[Seen]:
     return cases
 
 
-def _around(one: ScanMap, landmark_index: int) -> SumOfGaussians | None:
-    place = one.mapping.ekf.pose_landmark_places[landmark_index]
-    return LocalContext(one.mapping.dense.dense).around(one.found.template[landmark_index], place)
-
-
-def _first_measurement(one: ScanMap, landmark_index: int) -> int:
-    return int(np.flatnonzero(one.mapping.ekf.pose_landmarks.landmark == landmark_index)[0])
-
-
-def _born_at(one: ScanMap, landmark_index: int) -> Array:
-    """(3,) the vehicle's true pose when the template was taken."""
-    run, truth = one.mapping.ekf, one.mapping.log.truth.poses
-    if truth is None:
-        raise InputError(f"{one.mapping.log.name}: true poses are needed")
-    epoch = run.pose_landmarks.pose[_first_measurement(one, landmark_index)]
-    pose: Array = truth.at(run.estimate.time_s[[epoch]])[0]
-    return pose
-
-
-def _true_places(one: ScanMap) -> list[Array]:
-    """(3,) of each landmark's axis: where the true vehicle saw its template."""
-    measured = one.mapping.ekf.pose_landmarks.measured
-    return [
-        _MEASURED.invert(
-            _born_at(one, landmark_index), measured[[_first_measurement(one, landmark_index)]]
-        ).landmark[0]
-        for landmark_index in range(one.mapping.ekf.pose_landmarks.count)
-    ]
-
-
-def _composed(vehicle: Array, mount: Array) -> Array:
-    """(N, 3) of a scanner on vehicles (N, 3)."""
-    return np.array([_MEASURED.invert(pose, mount[None]).landmark[0] for pose in vehicle])
-
-
 def _shown(one: ScanMap) -> Surrounded:
-    landmark_indices = range(one.mapping.ekf.pose_landmarks.count)
-    held = {
-        landmark_index: there
-        for landmark_index in landmark_indices
-        if (there := _around(one, landmark_index)) is not None
-    }
+    held = {k: there for k in range(len(one.true)) if (there := one.around(k)) is not None}
     if not held:
         raise InputError(f"{one.mapping.log.name}: the map holds nothing around its landmarks")
     best = max(held, key=lambda landmark_index: len(held[landmark_index]))
-    template, true = one.found.template[best], _true_places(one)[best]
-    ends = _MEASURED.predict(true, _with_heading(one.segment.reshape(-1, 2))).z[:, :2]
+    template, (x, y, heading) = one.found.template[best], one.true[best]
+    ends = (one.segment.reshape(-1, 2) - (x, y)) @ rotation(heading)
     return Surrounded(
         template.shape.mean,
         held[best].mean,
         LocalContext(one.mapping.dense.dense).rectangle(template),
         ends.reshape(-1, 4),
     )
-
-
-def _with_heading(point: Array) -> Array:
-    return np.column_stack((point, np.zeros(len(point))))
 
 
 def _marks(segment: Array) -> Array:
@@ -252,67 +204,60 @@ _BESIDE_M = 3.0
 _KINDS = ((EKF_COLOUR, "template"), (SMOOTHER_COLOUR, "with map"))
 
 
-def claims_6_7(found: ScanMaps) -> Claims:
-    """A dense map without a point landmark."""
+def _claims_6_7(found: ScanMaps) -> Claims:
     each, layers = found.each, LAYERS
     after = [one.mapping.errors[name].median_m for one in each for name in layers]
-    before = [one.error_before(name).median_m for one in each for name in layers]
+    before = [
+        surface_error(one.before.layers[name], one.segment).median_m
+        for one in each
+        for name in layers
+    ]
     more = [
         one.covered(occupied(one.mapping.layers[name])) / one.covered(one.template_point)
         for one in each
         for name in layers
     ]
-    yield at_most(
+    text = (
         "after the loop both layers lie near the true surfaces (median distance of what is "
-        "occupied, the worst of the layers and drives)",
-        max(after),
-        0.4,
-        "m",
-        own=True,
+        "occupied, the worst of the layers and drives)"
     )
-    yield at_most(
+    yield at_most(text, max(after), 0.4, "m", own=True)
+    text = (
         "closing the loop brings them there (median distance over the one before, the worst "
-        "of the layers and drives)",
-        max(a / b for a, b in zip(after, before, strict=True)),
-        1.0,
+        "of the layers and drives)"
     )
-    yield at_least(
+    yield at_most(text, max(a / b for a, b in zip(after, before, strict=True)), 1.0)
+    why = ours(
+        "no map can hold so much: all returns of a drive, placed by its true poses, lie beside "
+        "66 % of the surface, the templates beside 35 % of it (seed 0); and scan landmarks "
+        "stand 20 m apart and on the surfaces, where regions end: 38 % of the returns find none"
+    )
+    text = (
         "the maps hold much more than the landmarks' templates by themselves (surface that lies "
-        "within 0.5 m of the one over that of the other, the least of the layers and drives)",
-        min(more),
-        2.0,
-        why=ours(
-            "no map can hold so much: all returns of a drive, placed by its true poses, lie beside "
-            "66 % of the surface, the templates beside 35 % of it (seed 0); and scan landmarks "
-            "stand 20 m apart and on the surfaces, where regions end: 38 % of the returns find none"
-        ),
-        own=True,
+        "within 0.5 m of the one over that of the other, the least of the layers and drives)"
     )
+    yield at_least(text, min(more), 2.0, why=why, own=True)
 
 
-def claims_6_8(found: ScanMaps) -> Claims:
-    """Where an alignment may begin."""
+def _claims_6_8(found: ScanMaps) -> Claims:
     basin = found.basin
     far = basin.error_m >= 1.0
     failed = 1.0 - basin.converged[far].mean(axis=0)
     wrong = basin.wrong[far].mean(axis=0)
-    yield at_most(
+    text = (
         "with the dense map around it a template is less often laid into a local maximum "
         f"(failures over those of the template alone, one start 1 m to {basin.error_m[-1]:g} m "
-        f"off, {basin.cases} pairs of a landmark and a scan)",
-        failed[1] / failed[0],
-        1.0,
+        f"off, {basin.cases} pairs of a landmark and a scan)"
     )
-    yield at_most(
+    yield at_most(text, failed[1] / failed[0], 1.0)
+    text = (
         "nor is it when a prior of that sigma is searched (wrong results over those of the "
-        "template alone)",
-        wrong[1] / wrong[0],
-        1.0,
+        "template alone)"
     )
+    yield at_most(text, wrong[1] / wrong[0], 1.0)
 
 
-def draw_6_7(canvas: Canvas, found: ScanMaps) -> None:
-    """Environment and paths, scan landmarks, and both layers."""
+def _draw_6_7(canvas: Canvas, found: ScanMaps) -> None:
     one = found.each[0]
     axes = canvas.subplots(2, 2, sharex=True, sharey=True)
     _paths(axes[0, 0], one)
@@ -330,10 +275,8 @@ def draw_6_7(canvas: Canvas, found: ScanMaps) -> None:
 
 def _paths(axis: Axes, one: ScanMap) -> None:
     draw_surfaces(axis, one.segment)
-    truth, estimate = one.mapping.log.truth.poses, one.mapping.ekf.estimate
-    if truth is not None:
-        axis.plot(*truth.pose[:, :2].T, "-", color=TRUE_PATH_COLOUR, label="true path")
-    path = estimate.pose[:, :2]
+    true, path = true_surroundings(one.mapping.log)[0].pose, one.mapping.ekf.estimate.pose[:, :2]
+    axis.plot(*true[:, :2].T, "-", color=TRUE_PATH_COLOUR, label="true path")
     axis.plot(*path.T, "--", color=EKF_COLOUR, linewidth=0.9, label="estimated path")
     plan(axis, "(a) objects alone, no point landmark", legend="best")
 
@@ -348,8 +291,7 @@ def _landmarks(axis: Axes, one: ScanMap) -> None:
     plan(axis, "(b) scan landmarks, axes and 3 sigma")
 
 
-def draw_6_8(canvas: Canvas, found: ScanMaps) -> None:
-    """One landmark alone and with the map around it; how far off alignments may begin."""
+def _draw_6_8(canvas: Canvas, found: ScanMaps) -> None:
     left, middle, right = canvas.subplots(1, 3)
     _template(left, found.shown, with_map=False)
     _template(middle, found.shown, with_map=True)
@@ -400,48 +342,38 @@ class Seen:
 class ConvergenceBasin:
     """Shares by initial error (E,) [m]; columns are the template alone and with its surroundings.
 
-    converged: (E, 2) from one start. right, wrong: (E, 2) with a prior of that sigma to search; the
-    rest says nothing. cases: landmarks in scans.
+    converged: (E, 2) from one start. wrong: (E, 2) with a prior of that sigma to search; the rest
+    is right or says nothing. cases: landmarks in scans.
     """
 
     error_m: Array
     converged: Array
-    right: Array
     wrong: Array
     cases: int
 
 
-def _converges(template: SumOfGaussians, true: Array, scan: SumOfGaussians, off: Array) -> bool:
-    """Whether an alignment that begins off by (3,) ends where the template is."""
-    return _is_close(align(template, scan, true + off, _ONE_START).pose, true)
-
-
-def _offsets(rng: np.random.Generator, error_m: float, draws: int) -> Array:
+def _offsets(rng: np.random.Generator, error_m: float) -> Array:
     """(D, 3) of so many metres any way, and turned with them either way."""
-    way = rng.uniform(0.0, 2.0 * np.pi, draws)
-    side = rng.choice((-1.0, 1.0), draws)
+    way = rng.uniform(0.0, 2.0 * np.pi, _DRAWS)
+    side = rng.choice((-1.0, 1.0), _DRAWS)
     return error_m * np.column_stack((np.cos(way), np.sin(way), side * TURN))
 
 
-def basin(
-    cases: Sequence[Seen], errors: Sequence[float], draws: int, rng: np.random.Generator
-) -> ConvergenceBasin:
-    """All cases from `draws` starts per initial error [m]."""
-    count = np.zeros((3, len(errors), 2))
-    for row, error in enumerate(errors):
+def basin(cases: Sequence[Seen], rng: np.random.Generator) -> ConvergenceBasin:
+    """All cases from some starts per initial error."""
+    converged, wrong = np.zeros((2, len(ERRORS_M), 2))
+    for row, error in enumerate(ERRORS_M):
         for case in cases:
-            richer = enriched(case.template, case.around)
-            for off in _offsets(rng, error, draws):
-                count[0, row] += (
-                    _converges(case.template.shape, case.true, case.scan, off),
-                    _converges(richer, case.true, case.scan, off),
-                )
+            shapes = case.template.shape, enriched(case.template, case.around)
+            for off in _offsets(rng, error):
+                for column, shape in enumerate(shapes):
+                    found = align(shape, case.scan, case.true + off, _ONE_START)
+                    converged[row, column] += _is_close(found.pose, case.true)
                 for column, what in enumerate(_searched(case, off, error)):
                     if what.usable and what.alignment is not None:
-                        close = _is_close(what.alignment.pose, case.true)
-                        count[1 if close else 2, row, column] += 1
-    converged, right, wrong = count / max(draws * len(cases), 1)
-    return ConvergenceBasin(np.array(errors, dtype=float), converged, right, wrong, len(cases))
+                        wrong[row, column] += not _is_close(what.alignment.pose, case.true)
+    tried = max(_DRAWS * len(cases), 1)
+    return ConvergenceBasin(np.array(ERRORS_M), converged / tried, wrong / tried, len(cases))
 
 
 def _searched(case: Seen, off: Array, error_m: float) -> tuple[Observation, Observation]:
@@ -459,17 +391,17 @@ def _is_close(pose: Array, true: Array) -> bool:
     return bool(np.hypot(*away[:2]) <= SAME_MAXIMUM[0] and turned <= SAME_MAXIMUM[1])
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N6.7", title="DenseSLAM between the landmarks of Scan-SLAM",
         says="Without a point landmark the local regions are anchored to scan landmarks, and the "
         "dense maps between them hold much more than the templates by themselves.",
-        experiment=SCAN_MAPS, draw=draw_6_7, claims=claims_6_7, size=(11.0, 9.6),
+        experiment=SCAN_MAPS, draw=_draw_6_7, claims=_claims_6_7, size=(11.0, 9.6),
     ),
     Figure(
         name="N6.8", title="A scan landmark with the dense map around it",
         says="A template augmented with the dense map around it makes convergence to a local "
         "maximum less probable.",
-        experiment=SCAN_MAPS, draw=draw_6_8, claims=claims_6_8, size=(14.0, 4.8),
+        experiment=SCAN_MAPS, draw=_draw_6_8, claims=_claims_6_8, size=(14.0, 4.8),
     ),
 )  # fmt: skip

@@ -20,28 +20,26 @@ from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import RunConfig, setting_default
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
+from comparisons.experiments.reproduction.claims import (
     Claim,
     Claims,
-    Experiment,
-    Figure,
-    Sources,
     at_least,
     at_most,
     elsewhere,
     ours,
     theirs,
 )
-from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, within_3_sigma
+from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
+from comparisons.experiments.reproduction.drives import Drives, true_surroundings
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
+from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, mean, within_3_sigma
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.jobs.run import run_filter
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Poses
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
@@ -101,13 +99,12 @@ class ScanMap:
 
     def at(self, rows: NDArray[np.bool_]) -> ScanMap:
         """Some of them (Q,)."""
-        points = tuple(p for p, chosen in zip(self.points, rows, strict=True) if chosen)
         return ScanMap(
             self.landmark_index[rows],
             self.place[rows],
             self.covariance[rows],
             self.true[rows],
-            points,
+            tuple(p for p, chosen in zip(self.points, rows, strict=True) if chosen),
         )
 
     @property
@@ -154,11 +151,9 @@ class ScanDrive:
 
 
 @dataclass(frozen=True)
-class ScanDrives:
-    """Several; `shown` of them is drawn. published: the same logs, by the thesis' settings."""
+class ScanDrives(Drives[ScanDrive]):
+    """`shown` of them is drawn. published: the same logs, by the thesis' settings."""
 
-    log: str
-    each: tuple[ScanDrive, ...]
     published: tuple[ScanDrive, ...]
 
     @property
@@ -225,8 +220,7 @@ def published_config() -> ScanLandmarksConfig:
 
 def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None) -> ScanDrive:
     """A log with scans and truth, driven. Raises InputError where no landmark is ever moved."""
-    if log.truth.poses is None or log.truth.surfaces is None:
-        raise InputError(f"{log.name}: true poses and surfaces are needed")
+    poses, segment = true_surroundings(log)
     config = RunConfig(extensions={"scan_landmarks": settings or OURS})
     prepared = prepare(log, config)
     watched = replace(prepared, extensions=(*prepared.extensions, _Remember()))
@@ -237,35 +231,32 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
     closing, found = source.slam.closing, source.slam.found
     estimate, problem = run.estimate, build_problem(prepared.log, run)
     wheels = dead_reckoned(problem.prior_pose, problem.increment)
-    errors = (
-        assess(estimate, log, labelled=False),
-        assess_trajectory(estimate.time_s, wheels, log),
-    )
+    errors = assess(estimate, log, labelled=False), assess_trajectory(estimate.time_s, wheels, log)
     ate_m, wheels_m = (float("nan") if e is None or e.ate_m is None else e.ate_m for e in errors)
-    true = log.truth.poses.at(run.estimate.time_s[run.pose_landmarks.pose])
-    landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
-    still = np.isin(closing.landmark_index, landmark_indices)
+    after = scan_map(found, run, poses)
+    still = np.isin(closing.landmark_index, after.landmark_index)
     old = closing.landmark_index[still]
+    before = replace(
+        after.at(np.isin(after.landmark_index, old)),
+        place=closing.before[still],
+        covariance=source.covariance[old, :2, :2],
+    )
     then = estimate.time_s < closing.time_s
-    off = estimate.pose[-1] - log.truth.poses.at(estimate.time_s[-1:])[0]
+    off = estimate.pose[-1] - poses.at(estimate.time_s[-1:])[0]
     return ScanDrive(
         seed=seed,
         templates=in_words(template_rule(source.slam.options)),
         path=estimate.pose[:, :2],
-        true_path=log.truth.poses.pose[:, :2],
+        true_path=poses.pose[:, :2],
         closing_s=closing.time_s,
-        before=scan_map(
-            found, run, true, old, closing.before[still], source.covariance[old, :2, :2]
-        ),
+        before=before,
         path_before=estimate.pose[then, :2],
-        after=scan_map(
-            found, run, true, landmark_indices, estimate.pose_landmarks, place_covariances(estimate)
-        ),
+        after=after,
         ate_m=ate_m,
         wheels_m=wheels_m,
         end_m=float(np.hypot(*off[:2])),
         again=seen_again(run),
-        segment=log.truth.surfaces.segment,
+        segment=segment,
     )
 
 
@@ -277,24 +268,30 @@ def seen_again(run: EkfRun) -> int:
     return int(np.count_nonzero(same & (gap >= CLOSED_S)))
 
 
-def scan_map(
-    found: ScanLandmarks,
-    run: EkfRun,
-    true: Array,
-    landmark_index: Index,
-    place: Array,
-    covariance: Array,
-) -> ScanMap:
-    """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all measurements."""
-    first = np.unique(run.pose_landmarks.landmark, return_index=True)[1][landmark_index]
-    seen = zip(true[first], run.pose_landmarks.measured[first], strict=True)
+def scan_map(found: ScanLandmarks, run: EkfRun, poses: Poses) -> ScanMap:
+    """Landmarks in the end, with where their axes are. poses: the vehicle's true ones."""
+    estimate, seen = run.estimate, run.pose_landmarks
+    landmark_index = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
+    first = first_measurements(run)[landmark_index]
+    born = poses.at(estimate.time_s[seen.pose[first]])
     return ScanMap(
         landmark_index,
-        place,
-        covariance,
-        np.array([planar.compose(pose, z) for pose, z in seen]).reshape(-1, 3),
+        estimate.pose_landmarks,
+        place_covariances(estimate),
+        true_axes(born, seen.measured[first]),
         tuple(found.template[k].shape.mean for k in landmark_index.tolist()),
     )
+
+
+def first_measurements(run: EkfRun) -> Index:
+    """(Q,) rows of the measurements by which the landmarks began."""
+    return np.unique(run.pose_landmarks.landmark, return_index=True)[1]
+
+
+def true_axes(pose: Array, z: Array) -> Array:
+    """(Q, 3) where axes are that were measured as z (Q, 3) from the vehicle's true poses (Q, 3)."""
+    each = [planar.compose(*both) for both in zip(pose, z, strict=True)]
+    return np.array(each).reshape(-1, 3)
 
 
 def _placed(held: ScanMap, place: Array) -> Array:
@@ -302,49 +299,35 @@ def _placed(held: ScanMap, place: Array) -> Array:
     return np.vstack([np.zeros((0, 2)), *moved])
 
 
-def claims_5_8(found: ScanDrives) -> Claims:
-    """The path, what the map is off, and what the closing does to it."""
+def _claims_5_8(found: ScanDrives) -> Claims:
     ratio = [d.ate_m / d.wheels_m for d in found.each]
     fall = [now / then for then, now in (d.errors_m for d in found.each)]
     before, after = [d.before for d in found.each], [d.after for d in found.each]
     missed = ours(f"by drive {_each(fall)}; where the loop is missed the map stays as it drifted")
-    yield at_most(
+    text = (
         "the estimated path is close to the true one (RMS error over that of odometry alone, "
-        "median of drives)",
-        np.median(ratio),
-        0.5,
-        own=True,
+        "median of drives)"
     )
-    yield _inside(
-        "before the loop closes the landmarks' errors are within their 3-sigma ellipses", before
-    )
+    yield at_most(text, np.median(ratio), 0.5, own=True)
+    text = "before the loop closes the landmarks' errors are within their 3-sigma ellipses"
+    yield _inside(text, before)
     yield _inside("and so they are after it", after)
-    yield at_most(
+    text = (
         "closing the loop reduces the error of the objects' places in every drive (RMS "
-        "distance of the landmarks from the true ones, after over before, largest)",
-        max(fall),
-        1.0,
-        why=missed,
+        "distance of the landmarks from the true ones, after over before, largest)"
     )
-    yield at_most(
-        "it reduces it by a large part (the same, median of drives)",
-        np.median(fall),
-        0.5,
-        why=missed,
-        own=True,
-    )
+    yield at_most(text, max(fall), 1.0, why=missed)
+    text = "it reduces it by a large part (the same, median of drives)"
+    yield at_most(text, np.median(fall), 0.5, why=missed, own=True)
     yield _closed("every loop closes", found.each)
     yield from _by_the_thesis(found.published)
 
 
 def _closed(text: str, drives: Sequence[ScanDrive]) -> Claim:
     missed = [f"{d.end_m:.2g} m off, {d.again} seen again" for d in drives if not d.closed]
-    return at_least(
-        f"{text} (share of drives that see old landmarks again and end within {END_M:g} m)",
-        float(np.mean([d.closed for d in drives])),
-        1.0,
-        why=ours(f"missed: {'; '.join(missed)}"),
-    )
+    why = ours(f"missed: {'; '.join(missed)}")
+    text = f"{text} (share of drives that see old landmarks again and end within {END_M:g} m)"
+    return at_least(text, float(np.mean([d.closed for d in drives])), 1.0, why=why)
 
 
 def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
@@ -356,25 +339,21 @@ def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
         "30 returns (5.6 has no number for this drive, 5.7 has 100 on its car park) and the "
         "covariance of eqs. 5.16 and 5.17"
     )
-    yield at_most(
+    text = (
         "by the thesis' settings the path is close to the true one (RMS error over that of "
-        "odometry alone, median of drives)",
-        np.median(ratio),
-        0.5,
-        why=form,
-        own=True,
+        "odometry alone, median of drives)"
     )
+    yield at_most(text, np.median(ratio), 0.5, why=form, own=True)
     yield _closed("by the thesis' settings every loop closes", drives)
-    yield _inside(
+    text = (
         "by the thesis' settings the landmarks' errors are within their 3-sigma ellipses before "
-        "the loop closes",
-        [d.before for d in drives],
+        "the loop closes"
     )
+    yield _inside(text, [d.before for d in drives])
     yield _inside("by the thesis' settings they are so after it", [d.after for d in drives])
 
 
-def claims_5_9(found: ScanDrives) -> Claims:
-    """What the templates hold, and their axes' ellipses."""
+def _claims_5_9(found: ScanDrives) -> Claims:
     yield from _left_top("templates show", "there the true axes are", found.each)
     yield from _left_top(
         "by the thesis' settings templates show",
@@ -391,14 +370,11 @@ def _left_top(templates: str, axes: str, drives: Sequence[ScanDrive]) -> Claims:
         for m, d in zip(maps, drives, strict=True)
         if len(m.landmark_index)
     ]
-    yield at_most(
+    text = (
         f"{templates} the objects in detail (median distance of their points from the "
-        "surfaces, every axis put where it truly is, largest of the drives)",
-        max(off, default=np.nan),
-        0.2,
-        "m",
-        own=True,
+        "surfaces, every axis put where it truly is, largest of the drives)"
     )
+    yield at_most(text, max(off, default=np.nan), 0.2, "m", own=True)
     yield _inside(f"{axes} within the 3-sigma ellipses", maps)
 
 
@@ -406,12 +382,10 @@ def _inside(text: str, maps: list[ScanMap]) -> Claim:
     """Of all landmarks the share within 3 sigma; beside it the shares by map."""
     each = [m.within for m in maps if len(m.landmark_index)]
     shares = _each([float(np.mean(one)) for one in each])
-    return at_least(
-        f"{text} (share of all drives' landmarks)",
-        np.mean(np.concatenate(each)) if each else np.nan,
-        SHARE_WITHIN_3_SIGMA,
-        why=theirs(f"by drive {shares}: where the filter has drifted it is too sure"),
-    )
+    why = theirs(f"by drive {shares}: where the filter has drifted it is too sure")
+    text = f"{text} (share of all drives' landmarks)"
+    inside = np.concatenate([np.zeros(0, dtype=bool), *each])
+    return at_least(text, mean(inside), SHARE_WITHIN_3_SIGMA, why=why)
 
 
 def _each(value: list[float]) -> str:
@@ -425,8 +399,7 @@ _OBJECT_COLOUR = "#aaaaaa"
 _BESIDE_M = 4.0
 
 
-def draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
-    """Before the loop closes, and at the end; the end by the thesis' settings."""
+def _draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
     left, right, thesis = canvas.subplots(1, 3, sharex=True, sharey=True)
     d, other = found.shown, found.shown_published
     _draw(left, d, d.before, d.path_before)
@@ -445,8 +418,7 @@ def draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
                   fontsize=9)  # fmt: skip
 
 
-def draw_5_9(canvas: Canvas, found: ScanDrives) -> None:
-    """The left top, at the end."""
+def _draw_5_9(canvas: Canvas, found: ScanDrives) -> None:
     axis, d = canvas.add_subplot(), found.shown
     _draw(axis, d, d.after, d.path, axis_m=2.0, dot=4.0)
     there = d.segment.reshape(-1, 2)
@@ -474,16 +446,16 @@ def axes_at(place: Array, length_m: float) -> Array:
     return np.array(drawn).reshape(-1, 3, 2)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N5.8", title="Scan-SLAM among objects, before and after the loop closes",
         says="Pieces of scans serve as landmarks of an EKF; the estimated path follows the true "
         "one, and once the loop is closed the error between true and estimated objects is smaller.",
-        experiment=EXPERIMENT, draw=draw_5_8, claims=claims_5_8, size=(21.0, 7.6),
+        experiment=EXPERIMENT, draw=_draw_5_8, claims=_claims_5_8, size=(21.0, 7.6),
     ),
     Figure(
         name="N5.9", title="Zoom of the left top: objects, templates and their axes",
         says="The templates add the sensor's information in detail; the ellipses bound their axes.",
-        experiment=EXPERIMENT, draw=draw_5_9, claims=claims_5_9, size=(8.0, 7.0),
+        experiment=EXPERIMENT, draw=_draw_5_9, claims=_claims_5_9, size=(8.0, 7.0),
     ),
 )  # fmt: skip

@@ -10,18 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    Why,
-    at_least,
-    at_most,
-    ours,
-    within,
-)
+from comparisons.experiments.reproduction.claims import Claims, Why, at_least, at_most, ours, within
+from comparisons.experiments.reproduction.drives import Drives
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
 from comparisons.logs.simulate.scanners import half_degrees
@@ -70,15 +61,13 @@ class Trial(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Scans:
+class Scans(Drives[Trial]):
     """Several trials; one is drawn.
 
     reference, observation: (N, 2) of it [m]; truth: (3,) the observation's pose in the reference's
     frame.
     """
 
-    log: str
-    each: tuple[Trial, ...]
     reference: Array
     observation: Array
     truth: Array
@@ -152,21 +141,18 @@ def _trial(rng: np.random.Generator, first: Array, second: Array, truth: Array) 
     return Trial(before, sog, other, found.covariance, usable and seen.converged)
 
 
-def claims_5_5(found: Scans) -> Claims:
-    """Both lie on each other, and the covariance says how well."""
+def _claims_5_5(found: Scans) -> Claims:
     taken = [t for t in found.each if t.usable]
     nees = [float(t.sog @ np.linalg.solve(t.covariance, t.sog)) for t in taken]
     yield from _good("the correlation", found, np.array([t.sog for t in found.each]))
-    yield within(
+    text = (
         "the alignment is consistent (mean NEES where neither ambiguous nor apart; limits: its "
-        "95 % band)",
-        np.mean(nees) if nees else np.nan,
-        mean_band(len(nees), 3),
+        "95 % band)"
     )
+    yield within(text, np.mean(nees) if nees else np.nan, mean_band(len(nees), 3))
 
 
-def claims_5_6(found: Scans) -> Claims:
-    """So they do with iterated closest points."""
+def _claims_5_6(found: Scans) -> Claims:
     why = ours(
         "points are paired with points, a few centimetres apart on these walls: so much it stays "
         "off, and more rounds help little; the figure would not show it"
@@ -179,22 +165,12 @@ def _good(name: str, found: Scans, error: Array, why: Why | None = None) -> Clai
     left = np.hypot(*error[:, :2].T) / np.hypot(*before[:, :2].T)
     turned = np.abs(error[:, 2] / before[:, 2])
     near = (np.hypot(*error[:, :2].T) < WITHIN_M) & (np.abs(error[:, 2]) < WITHIN_RAD)
-    yield at_most(
-        f"{name} brings the scans together (distance from the truth, after over before, median)",
-        np.median(left),
-        0.1,
-        own=True,
-    )
-    yield at_most(
-        f"{name} turns them alike (the same of headings)", float(np.median(turned)), 0.1, own=True
-    )
-    yield at_least(
-        f"{name} ends in a good alignment (share within 5 cm and 0.5 degrees of the truth)",
-        np.mean(near),
-        0.9,
-        why=why,
-        own=True,
-    )
+    text = f"{name} brings the scans together (distance from the truth, after over before, median)"
+    yield at_most(text, np.median(left), 0.1, own=True)
+    text = f"{name} turns them alike (the same of headings)"
+    yield at_most(text, float(np.median(turned)), 0.1, own=True)
+    text = f"{name} ends in a good alignment (share within 5 cm and 0.5 degrees of the truth)"
+    yield at_least(text, np.mean(near), 0.9, why=why, own=True)
 
 
 def _draw(axis: Axes, found: Scans, error: Array, title: str) -> None:
@@ -208,15 +184,13 @@ def _draw(axis: Axes, found: Scans, error: Array, title: str) -> None:
     axis.legend(fontsize=8, loc="best")
 
 
-def draw_5_5(canvas: Canvas, found: Scans) -> None:
-    """Before and after."""
+def _draw_5_5(canvas: Canvas, found: Scans) -> None:
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     _draw(left, found, found.shown.before, f"(a) as displaced: {_reported(found.shown.before)}")
     _draw(right, found, found.shown.sog, f"(b) sums of Gaussians: {_reported(found.shown.sog)}")
 
 
-def draw_5_6(canvas: Canvas, found: Scans) -> None:
-    """The same after ICP."""
+def _draw_5_6(canvas: Canvas, found: Scans) -> None:
     _draw(canvas.add_subplot(), found, found.shown.icp, f"ICP: {_reported(found.shown.icp)}")
 
 
@@ -226,17 +200,17 @@ def _reported(error: Array) -> str:
 
 EXPERIMENT = Experiment("section 5.3.1, two scans", scans, library="open3d")
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N5.5", title="Two scans aligned as sums of Gaussians",
         says="Two scans of an office, displaced, are laid onto each other by the maximum of their "
         "correlation; under certain conditions the estimate is consistent.",
-        experiment=EXPERIMENT, draw=draw_5_5, claims=claims_5_5, size=(12.0, 5.6),
+        experiment=EXPERIMENT, draw=_draw_5_5, claims=_claims_5_5, size=(12.0, 5.6),
     ),
     Figure(
         name="N5.6", title="The same by iterated closest points",
         says=f"ICP of {ROUNDS} iterations appears to align the same scans as well as the "
         "correlation.",
-        experiment=EXPERIMENT, draw=draw_5_6, claims=claims_5_6, size=(7.0, 5.6),
+        experiment=EXPERIMENT, draw=_draw_5_6, claims=_claims_5_6, size=(7.0, 5.6),
     ),
 )  # fmt: skip

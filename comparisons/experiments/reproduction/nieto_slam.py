@@ -10,11 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.nees import PoseErrors, pose_errors
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.claims import (
+    Claims,
+    at_least,
+    at_most,
+    elsewhere,
+    theirs,
+    within,
+)
 from comparisons.experiments.reproduction.drawing import (
     Place,
     chart,
@@ -23,24 +30,13 @@ from comparisons.experiments.reproduction.drawing import (
     mark,
     plan,
 )
-from comparisons.experiments.reproduction.interface import (
-    AnyFigure,
-    Claims,
-    Experiment,
-    Figure,
-    Sources,
-    at_least,
-    at_most,
-    elsewhere,
-    theirs,
-    within,
-)
+from comparisons.experiments.reproduction.drives import Drives, truth_in_order, watched_run
+from comparisons.experiments.reproduction.interface import Experiment, Figure, Sources
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
     rms,
 )
-from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive
@@ -48,6 +44,7 @@ from comparisons.report.figures.style import draw_correlation
 from comparisons.report.marks import SMOOTHER_COLOUR
 from comparisons.statistics import mean_band, normalise
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import correlation_coefficients
 
 LOOPS = 3
@@ -108,6 +105,12 @@ class Moment:
         pairs = np.triu_indices(n, 1)
         return float(np.mean([rho[axis::2, axis::2][pairs] for axis in (0, 1)]))
 
+    def among(self, *landmark_index: int) -> Array:
+        """(2 k, 2 k) covariance of k landmarks, in this order."""
+        layout = Layout.packed(3, len(self.landmark))
+        columns = layout.columns(np.array(landmark_index))[3:]
+        return self.covariance[np.ix_(columns, columns)]
+
     def far(self, start: Array) -> Array:
         """(L,) which landmarks are among the third that is farthest from a place (2,)."""
         distance = np.linalg.norm(self.true - start, axis=1)
@@ -123,7 +126,6 @@ class LoopDrive:
     the start is seen again, at the end of the first loop, and after all loops.
     """
 
-    source: Log
     pose: Array
     poses: PoseErrors
     first_landmark_m: Array
@@ -137,14 +139,6 @@ class LoopDrive:
         """(T, 2) at the scans."""
         path: Array = (self.pose - self.poses.error)[:, :2]
         return path
-
-
-@dataclass(frozen=True)
-class Loops:
-    """Several drives; the first is drawn."""
-
-    log: str
-    drives: tuple[LoopDrive, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,14 +156,12 @@ class Fixed:
     mean_correlation: Array
 
 
-def loops(sources: Sources) -> Loops:
+def loops(sources: Sources) -> Drives[LoopDrive]:
     """Drives of three loops, seeds from 0."""
-    each = [
-        open_log("simulated-loop", choices=SimulationChoices(seed, LOOPS))
-        for seed in range(sources.drives)
-    ]
-    name = f"simulated-loop --loops {LOOPS}, {len(each)} drives from seed 0"
-    return Loops(name, tuple(loop_drive(log) for log in each))
+    seeds = range(sources.drives)
+    logs = (open_log("simulated-loop", choices=SimulationChoices(seed, LOOPS)) for seed in seeds)
+    name = f"simulated-loop --loops {LOOPS}, {len(seeds)} drives from seed 0"
+    return Drives(name, tuple(loop_drive(log) for log in logs))
 
 
 def loop_drive(log: Log) -> LoopDrive:
@@ -194,9 +186,7 @@ def loop_drive(log: Log) -> LoopDrive:
                 kept[name] = Moment.of(time_s, ekf, true)
     at = np.array(time)
     errors = pose_errors(at, np.array(pose), np.array(spread), poses.at(at))
-    return LoopDrive(
-        source=log, pose=np.array(pose), poses=errors, first_landmark_m=np.array(first), **kept
-    )
+    return LoopDrive(pose=np.array(pose), poses=errors, first_landmark_m=np.array(first), **kept)
 
 
 def fixed(sources: Sources) -> Fixed:
@@ -237,38 +227,28 @@ def closing_s(log: Log) -> float:
 
 NEAR_M, FAR_M = 12.0, 50.0
 """Landmarks nearer than that are close to each other; farther ones are not."""
+_SIDES = ("before", "after")
 _TOO_SURE = theirs("EKF-SLAM grows too sure as its heading errs; see `slamcheck montecarlo`")
 
 
-def claims_2_8(loops: Loops) -> Claims:
-    """The largest error is at the far side; closing the loop corrects the map."""
+def _claims_2_8(found: Drives[LoopDrive]) -> Claims:
     left, right = [], []
-    for d in loops.drives:
+    for d in found.each:
         east = d.true_path[:, 0]
         open_ = d.poses.time_s <= d.before.time_s
         low, high = np.quantile(east, (1.0 / 3.0, 2.0 / 3.0))
         left.append(d.poses.error[open_ & (east <= low), :2])
         right.append(d.poses.error[open_ & (east >= high), :2])
-    before, after = ([getattr(d, name).error_m for d in loops.drives] for name in _SIDES)
-    yield at_least(
-        "before the loop closes the path errs most on its left third (RMS over the right's)",
-        rms(*left) / rms(*right),
-        1.0,
-        why=elsewhere("our loop begins at the right, where the thesis begins at the bottom"),
-    )
-    yield at_most(
-        "closing the loop reduces the landmarks' error (RMS after over before)",
-        rms(*after) / rms(*before),
-        1.0,
-    )
+    before, after = ([getattr(d, name).error_m for d in found.each] for name in _SIDES)
+    why = elsewhere("our loop begins at the right, where the thesis begins at the bottom")
+    text = "before the loop closes the path errs most on its left third (RMS over the right's)"
+    yield at_least(text, rms(*left) / rms(*right), 1.0, why=why)
+    text = "closing the loop reduces the landmarks' error (RMS after over before)"
+    yield at_most(text, rms(*after) / rms(*before), 1.0)
 
 
-_SIDES = ("before", "after")
-
-
-def claims_2_9(loops: Loops) -> Claims:
-    """Of the far part of the map: errors lie within the ellipses, and both shrink."""
-    drives = loops.drives
+def _claims_2_9(found: Drives[LoopDrive]) -> Claims:
+    drives = found.each
     far = [d.before.far(d.true_path[0]) for d in drives]
     each = list(zip(drives, far, strict=True))
     inside = [d.before.squared[f] <= THREE_SIGMA_SQUARED for d, f in each]
@@ -281,107 +261,74 @@ def claims_2_9(loops: Loops) -> Claims:
         for when in _SIDES
         for what in ("error_m", "sigma_m")
     )
-    yield at_least(
+    text = (
         "the far landmarks lie within their 3-sigma ellipses before the loop closes (share, of "
-        "the drive drawn)",
-        inside[0].mean(),
-        1.0,
+        "the drive drawn)"
     )
-    yield within(
+    yield at_least(text, inside[0].mean(), 1.0)
+    text = (
         "over drives the farthest landmark's error is as large as stated (mean NEES; limits: "
-        "its 95 % band)",
-        np.mean(farthest),
-        mean_band(len(drives), 2),
-        why=_TOO_SURE,
+        "its 95 % band)"
     )
+    yield within(text, np.mean(farthest), mean_band(len(drives), 2), why=_TOO_SURE)
     yield at_most("their error falls with the closing (ratio)", error_after / error_before, 1)
-    yield at_most(
-        "their uncertainty falls with the closing (ratio)",
-        sigma_after / sigma_before,
-        1.0,
+    text = "their uncertainty falls with the closing (ratio)"
+    yield at_most(text, sigma_after / sigma_before, 1.0)
+    why = theirs(
+        "the landmarks of one drive share their error, so that one drive in ten decides "
+        "this number; the NEES above takes one landmark a drive"
     )
-    yield at_least(
+    text = (
         "and over all drives as many far landmarks lie within their ellipses as of a Gaussian "
-        "(share)",
-        np.mean(np.concatenate(inside)),
-        SHARE_WITHIN_3_SIGMA,
-        why=theirs(
-            "the landmarks of one drive share their error, so that one drive in ten decides "
-            "this number; the NEES above takes one landmark a drive"
-        ),
+        "(share)"
     )
+    yield at_least(text, np.mean(np.concatenate(inside)), SHARE_WITHIN_3_SIGMA, why=why)
 
 
-def claims_2_10(loops: Loops) -> Claims:
-    """Errors are as large as stated; a landmark's uncertainty only ever falls."""
-    drives = loops.drives
-    for i, name in enumerate(("east", "north", "heading")):
-        yield at_least(
-            f"the error in {name} stays within 3 sigma (share of all scans of all drives)",
-            np.mean(np.concatenate([_within(d, i) for d in drives])),
-            0.99,
-            why=_TOO_SURE,
-            own=True,
-        )
+def _claims_2_10(found: Drives[LoopDrive]) -> Claims:
+    drives = found.each
+    inside = np.concatenate([np.abs(d.poses.error) <= 3.0 * d.poses.sigma for d in drives])
+    for name, share in zip(("east", "north", "heading"), inside.mean(axis=0), strict=True):
+        text = f"the error in {name} stays within 3 sigma (share of all scans of all drives)"
+        yield at_least(text, share, 0.99, why=_TOO_SURE, own=True)
     squared = np.array(
         [d.poses.pose.squared[np.searchsorted(d.poses.time_s, d.before.time_s)] for d in drives]
     )
     growth = max(float(np.max(d.first_landmark_m[1:] / d.first_landmark_m[:-1])) for d in drives)
-    yield within(
+    text = (
         "before the loop closes the pose's error is as large as stated (mean NEES over drives; "
-        "limits: its 95 % band)",
-        squared.mean(),
-        mean_band(len(drives), 3),
-        why=_TOO_SURE,
+        "limits: its 95 % band)"
     )
-    yield at_most(
-        "a landmark's uncertainty never grows (largest ratio from scan to scan)",
-        growth,
-        1.0 + 1e-9,
-    )
+    yield within(text, squared.mean(), mean_band(len(drives), 3), why=_TOO_SURE)
+    text = "a landmark's uncertainty never grows (largest ratio from scan to scan)"
+    yield at_most(text, growth, 1.0 + 1e-9)
 
 
-def _within(d: LoopDrive, column: int) -> NDArray[np.bool_]:
-    return np.abs(d.poses.error[:, column]) <= 3.0 * d.poses.sigma[:, column]
-
-
-def claims_2_11(loops: Loops) -> Claims:
-    """The map grows more correlated by the closing, and by every further loop."""
+def _claims_2_11(found: Drives[LoopDrive]) -> Claims:
     before, after, end = (
-        np.array([getattr(d, name).mean_correlation for d in loops.drives])
-        for name in ("before", "after", "end")
+        np.array([getattr(d, name).mean_correlation for d in found.each])
+        for name in (*_SIDES, "end")
     )
-    quarter = [len(d.quarter.landmark) / len(d.before.landmark) for d in loops.drives]
-    yield at_most(
-        "after a quarter of the loop not all landmarks are in (share)", max(quarter), 0.99, own=True
-    )
-    yield at_least(
-        "closing the loop makes the map more correlated (mean coefficient, least ratio)",
-        np.min(after / before),
-        1.0,
-    )
-    yield at_least(
-        "further loops make it more correlated still (mean coefficient, least ratio)",
-        np.min(end / after),
-        1.0,
-    )
+    quarter = [len(d.quarter.landmark) / len(d.before.landmark) for d in found.each]
+    text = "after a quarter of the loop not all landmarks are in (share)"
+    yield at_most(text, max(quarter), 0.99, own=True)
+    text = "closing the loop makes the map more correlated (mean coefficient, least ratio)"
+    yield at_least(text, np.min(after / before), 1.0)
+    text = "further loops make it more correlated still (mean coefficient, least ratio)"
+    yield at_least(text, np.min(end / after), 1.0)
 
 
-def claims_2_12(found: Fixed) -> Claims:
-    """A few absolute observations take the correlation away."""
-    yield at_most(
+def _claims_2_12(found: Fixed) -> Claims:
+    text = (
         f"{len(found.fix_s)} positions reduce the map's correlation rapidly (mean coefficient, "
-        "after over before)",
-        found.after.mean_correlation / found.before.mean_correlation,
-        0.5,
-        own=True,
+        "after over before)"
     )
+    yield at_most(text, found.after.mean_correlation / found.before.mean_correlation, 0.5, own=True)
 
 
-def claims_3_4(loops: Loops) -> Claims:
-    """What is close is correlated, equally uncertain, and corrected alike."""
+def _claims_3_4(found: Drives[LoopDrive]) -> Claims:
     near_rho, far_rho, near_sigma, far_sigma, near_move, moved = [], [], [], [], [], []
-    for d in loops.drives:
+    for d in found.each:
         m = d.before
         first, second = np.triu_indices(len(m.landmark), 1)
         apart = np.linalg.norm(m.landmark[first] - m.landmark[second], axis=1)
@@ -397,30 +344,15 @@ def claims_3_4(loops: Loops) -> Claims:
         far_sigma.append(unlike[far])
         near_move.append(differing[near])
         moved.append(np.linalg.norm(move, axis=1))
-    yield at_least(
-        f"landmarks within {NEAR_M:.0f} m of each other are highly correlated (mean)",
-        np.mean(np.concatenate(near_rho)),
-        0.9,
-        why=elsewhere("those around the start are known too well to share an error"),
-        own=True,
-    )
-    yield at_most(
-        f"those more than {FAR_M:.0f} m apart are less so (mean over the near ones')",
-        np.mean(np.concatenate(far_rho)) / np.mean(np.concatenate(near_rho)),
-        1.0,
-    )
-    yield at_most(
-        "close landmarks are about equally uncertain (log ratio of sigmas, near over far)",
-        rms(*near_sigma) / rms(*far_sigma),
-        0.5,
-        own=True,
-    )
-    yield at_most(
-        "the closing moves close landmarks alike (difference over motion, RMS)",
-        rms(*near_move) / rms(*moved),
-        0.5,
-        own=True,
-    )
+    why = elsewhere("those around the start are known too well to share an error")
+    text = f"landmarks within {NEAR_M:.0f} m of each other are highly correlated (mean)"
+    yield at_least(text, np.mean(np.concatenate(near_rho)), 0.9, why=why, own=True)
+    text = f"those more than {FAR_M:.0f} m apart are less so (mean over the near ones')"
+    yield at_most(text, np.mean(np.concatenate(far_rho)) / np.mean(np.concatenate(near_rho)), 1.0)
+    text = "close landmarks are about equally uncertain (log ratio of sigmas, near over far)"
+    yield at_most(text, rms(*near_sigma) / rms(*far_sigma), 0.5, own=True)
+    text = "the closing moves close landmarks alike (difference over motion, RMS)"
+    yield at_most(text, rms(*near_move) / rms(*moved), 0.5, own=True)
 
 
 _LONGER = 10.0
@@ -434,27 +366,24 @@ def _moment(
     plan(axis, title, legend=legend)
 
 
-def draw_2_8(canvas: Canvas, loops: Loops) -> None:
-    """Before and after the closing."""
-    d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
+def _draw_2_8(canvas: Canvas, found: Drives[LoopDrive]) -> None:
+    d, axes = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     title = f"before the loop closes, {d.before.time_s:.1f} s"
     _moment(axes[0], d, d.before, title, legend="center")
     _moment(axes[1], d, d.after, f"after, {d.after.time_s:.1f} s")
 
 
-def draw_2_9(canvas: Canvas, loops: Loops) -> None:
-    """The same, where the map is farthest from the start."""
-    draw_2_8(canvas, loops)
-    d = loops.drives[0]
+def _draw_2_9(canvas: Canvas, found: Drives[LoopDrive]) -> None:
+    _draw_2_8(canvas, found)
+    d = found.each[0]
     canvas.axes[0].legend(fontsize=8, loc="lower right")
     west, north = d.true_path[:, 0].min(), d.true_path[:, 1].max()
     for axis in canvas.axes:
         axis.set(xlim=(west - 10.0, west + 35.0), ylim=(north - 35.0, north + 10.0))
 
 
-def draw_2_10(canvas: Canvas, loops: Loops) -> None:
-    """Errors of the pose between their bounds, and one landmark's deviations."""
-    d = loops.drives[0]
+def _draw_2_10(canvas: Canvas, found: Drives[LoopDrive]) -> None:
+    d = found.each[0]
     axes = canvas.subplots(2, 2).ravel()
     names = (("east", "m", 1.0), ("north", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
     for i, (name, unit, scale) in enumerate(names):
@@ -468,9 +397,8 @@ def draw_2_10(canvas: Canvas, loops: Loops) -> None:
     chart(axes[3], "deviation of the first landmark", "time [s]", "sigma [m]")
 
 
-def draw_2_11(canvas: Canvas, loops: Loops) -> None:
-    """Four normalised covariance matrices."""
-    d = loops.drives[0]
+def _draw_2_11(canvas: Canvas, found: Drives[LoopDrive]) -> None:
+    d = found.each[0]
     titles = ("a quarter of the loop", "before the closing", "after it", "after three loops")
     moments = (d.quarter, d.before, d.after, d.end)
     for axis, m, title in zip(canvas.subplots(2, 2).ravel(), moments, titles, strict=True):
@@ -478,8 +406,7 @@ def draw_2_11(canvas: Canvas, loops: Loops) -> None:
         axis.set_title(f"{title}: mean {m.mean_correlation:.2f}", fontsize=10)
 
 
-def draw_2_12(canvas: Canvas, found: Fixed) -> None:
-    """The matrix without and with positions, and how it went."""
+def _draw_2_12(canvas: Canvas, found: Fixed) -> None:
     axes = canvas.subplots(1, 3)
     for axis, m, title in zip(axes, (found.before, found.after), ("before", "after"), strict=False):
         draw_correlation(axis, m.coefficients)
@@ -490,9 +417,8 @@ def draw_2_12(canvas: Canvas, found: Fixed) -> None:
     chart(axes[2], "positions (dotted)", "time [s]", "mean coefficient", legend=None)
 
 
-def draw_3_4(canvas: Canvas, loops: Loops) -> None:
-    """Ellipses before the closing, and where it takes the landmarks."""
-    d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
+def _draw_3_4(canvas: Canvas, found: Drives[LoopDrive]) -> None:
+    d, axes = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     _moment(axes[0], d, d.before, "neighbours are alike in their uncertainty", legend="center")
     _moment(axes[1], d, d.after, f"and in how the closing moves them ({_LONGER:g} times)")
     for start, end in zip(d.before.landmark, d.after.landmark, strict=False):
@@ -500,41 +426,41 @@ def draw_3_4(canvas: Canvas, loops: Loops) -> None:
         axes[1].plot(*np.stack((start, shown)).T, "-", color=SMOOTHER_COLOUR, linewidth=1.2)
 
 
-FIGURES: tuple[AnyFigure, ...] = (
+FIGURES = (
     Figure(
         name="N2.8", title="Feature SLAM before and after a loop closes",
         says="On a loop of 255 m the estimate drifts, most at the far side, and closing the loop "
         "corrects the map.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_8, claims=claims_2_8, size=(11.0, 5.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_8, claims=_claims_2_8, size=(11.0, 5.0),
     ),
     Figure(
         name="N2.9", title="The far corner of the same map",
         says="The landmarks' errors lie within their 3-sigma ellipses, and errors and ellipses "
         "shrink when the loop closes.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_9, claims=claims_2_9, size=(11.0, 5.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_9, claims=_claims_2_9, size=(11.0, 5.0),
     ),
     Figure(
         name="N2.10", title="Errors and stated deviations along the drive",
         says="The filter's stated deviations fit its actual errors, and a landmark's uncertainty "
         "falls with every observation of the map.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_10, claims=claims_2_10, size=(11.0, 7.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_10, claims=_claims_2_10, size=(11.0, 7.0),
     ),
     Figure(
         name="N2.11", title="Correlation of the map as it is explored and closed",
         says="The map becomes more correlated when the loop closes, and more still on further "
         "loops.",
-        experiment=LOOP_EXPERIMENT, draw=draw_2_11, claims=claims_2_11, size=(8.0, 8.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_2_11, claims=_claims_2_11, size=(8.0, 8.0),
     ),
     Figure(
         name="N2.12", title="Correlation after a few absolute observations",
         says="A few absolute observations of the vehicle take the correlation out of the map "
         "rapidly.",
-        experiment=FIXED_EXPERIMENT, draw=draw_2_12, claims=claims_2_12, size=(12.0, 4.2),
+        experiment=FIXED_EXPERIMENT, draw=_draw_2_12, claims=_claims_2_12, size=(12.0, 4.2),
     ),
     Figure(
         name="N3.4", title="Close landmarks have close errors",
         says="Landmarks that are close to each other are highly correlated, about equally "
         "uncertain, and moved alike when the loop closes.",
-        experiment=LOOP_EXPERIMENT, draw=draw_3_4, claims=claims_3_4, size=(11.0, 5.0),
+        experiment=LOOP_EXPERIMENT, draw=_draw_3_4, claims=_claims_3_4, size=(11.0, 5.0),
     ),
 )  # fmt: skip

@@ -27,8 +27,8 @@ from comparisons.experiments.reproduction import (
     nieto_scan_slam,
     nieto_scans,
     nieto_slam,
-    update_split,
 )
+from comparisons.experiments.reproduction.drives import Drives
 from comparisons.experiments.reproduction.interface import Sources
 from comparisons.experiments.reproduction.nieto_motion import DynamicScore
 from comparisons.extensions.dense_maps.accuracy import surface_error
@@ -71,14 +71,14 @@ def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round
     )
 
 
-def splits() -> update_split.Split:
+def splits() -> Drives[guivant.SplitLog]:
     """Each finer splitting is a little better."""
     runs = {
-        name: update_split.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k, parts=1.0 + k)
-        for k, name in enumerate(update_split.SPLITS)
+        name: guivant.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k)
+        for k, name in enumerate(guivant.SPLITS)
     }
-    each = tuple(update_split.SplitLog(name, runs) for name in ("a loop", "another"))
-    return update_split.Split("made up", each)
+    each = tuple(guivant.SplitLog(name, runs) for name in ("a loop", "another"))
+    return Drives("made up", each)
 
 
 def final_map() -> nieto_fastslam.FinalMap:
@@ -93,7 +93,7 @@ def final_map() -> nieto_fastslam.FinalMap:
 def clouds() -> nieto_fastslam.Clouds:
     """Of a simulated drive with positions; what is claimed of Victoria Park is made up."""
     log = simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
-    found = nieto_fastslam.clouds_of(log, (5, 20))
+    found = nieto_fastslam.clouds(log, (5, 20))
     most = found.runs[-1]
     trees = np.resize(most.landmark, (nieto_fastslam.TREES, 2))
     right = replace(most, median_m=1.5, landmark=trees, distinct=np.full_like(most.distinct, 2))
@@ -149,7 +149,7 @@ def motions(true: Array) -> nieto_motion.Motions:
     return nieto_motion.Motions("made up", (one,), true)
 
 
-def parked_cars() -> nieto_motion.ParkedCarsDrives:
+def parked_cars() -> Drives[nieto_motion.ParkedCars]:
     """All three cars are found, and two landmarks stand on them; another is as good as before."""
     first, second, third = leaving_cars()
     between = np.linspace(first.mean(axis=0), second.mean(axis=0), 12)
@@ -167,7 +167,7 @@ def parked_cars() -> nieto_motion.ParkedCarsDrives:
         points_removed=0,
         segment=WALL,
     )
-    return nieto_motion.ParkedCarsDrives("made up", (one,))
+    return Drives("made up", (one,))
 
 
 def scan_drives() -> nieto_scan_slam.ScanDrives:
@@ -201,10 +201,10 @@ def scan_drives() -> nieto_scan_slam.ScanDrives:
     return nieto_scan_slam.ScanDrives("made up", (one,), (one,))
 
 
-def high_level_drives() -> nieto_high_level.HighLevelDrives:
+def high_level_drives() -> Drives[nieto_high_level.HighLevelDrive]:
     log = open_log("occupancy-loop", choices=SimulationChoices(1, 2))
-    drive = nieto_high_level.of_log(first_seconds(log, 100.0), 60.0)
-    return nieto_high_level.HighLevelDrives("the beginning of a drive", (drive,))
+    drive = nieto_high_level.of_log(first_seconds(log, 100.0))
+    return Drives("the beginning of a drive", (drive,))
 
 
 def scan_maps() -> nieto_scan_maps.ScanMaps:
@@ -233,7 +233,7 @@ def next_path() -> nieto_next_path.NextPath:
 def car_park() -> nieto_car_park.CarPark:
     if not SHARED.is_dir():
         pytest.skip("the real logs (../shared/data) are not on this machine")
-    return nieto_car_park.car_park(Sources(SHARED))
+    return nieto_car_park.car_park(Sources(SHARED).log(nieto_car_park.FOLDER))
 
 
 def car_park_scans() -> nieto_car_park_scans.CarParkScans:
@@ -241,7 +241,7 @@ def car_park_scans() -> nieto_car_park_scans.CarParkScans:
     if not SHARED.is_dir():
         pytest.skip("the real logs (../shared/data) are not on this machine")
     log = Sources(SHARED).log(nieto_car_park.FOLDER)
-    return nieto_car_park_scans.of_log(first_seconds(log, 25.0))
+    return nieto_car_park_scans.car_park_scans(first_seconds(log, 25.0))
 
 
 SMALL: dict[str, Callable[[], Any]] = {

@@ -11,18 +11,14 @@ from pydantic import TypeAdapter
 
 from comparisons.errors import InputError, RecordError
 from comparisons.experiments.reproduction import registry, runner
+from comparisons.experiments.reproduction.claims import Claims, at_least, at_most, ours, theirs
 from comparisons.experiments.reproduction.folder import write_gallery
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
-    Claims,
     Experiment,
     Figure,
     ReproductionResult,
     Sources,
-    at_least,
-    at_most,
-    ours,
-    theirs,
 )
 from comparisons.experiments.reproduction.runner import reproduce
 from comparisons.figures import stored

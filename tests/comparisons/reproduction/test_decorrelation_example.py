@@ -131,6 +131,6 @@ def test_the_example_is_of_a_point_within_its_triangle_that_is_never_seen_again(
     assert Conditions().pairs(triangle, joint)[np.triu_indices(3, 1)].all()
     assert Conditions().well_conditioned(triangle[None], joint[None]).all()
     assert np.linalg.norm(shown.distant[0] - shown.point[0]) > 10.0
-    assert np.linalg.norm(shown.point - present(shown.true_point), axis=1).max() < 1.5
+    assert np.linalg.norm(shown.point - shown.true_point, axis=1).max() < 1.5
     with pytest.raises(InputError, match="within three others"):
         decorrelation_example(simulated(0, loop_s=0.4))

@@ -95,7 +95,7 @@ def test_people_who_hardly_change_their_speed_tell_the_robot_more(
     calm = 1e-6 * nieto_people._STEP_NOISE
     monkeypatch.setattr(nieto_people, "_STEP_NOISE", calm)
     found = nieto_people.people_drives(Sources(drives=2))
-    assert not next(iter(nieto_people.claims_3_7_1(found))).holds
+    assert not next(iter(nieto_people._claims_3_7_1(found))).holds
 
 
 def test_cars_made_of_discs_fill_their_outlines_until_they_leave() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.experiments.reproduction.update_split import ONE, SPLITS, runs
+from comparisons.experiments.reproduction.guivant import ONE, SPLITS, runs
 from comparisons.jobs.run import compare
 from comparisons.settings import configure
 from ekf_reference.core.landmark_types import POINT
@@ -40,9 +40,13 @@ def test_a_run_in_parts_is_followed_by_both_frozen_smoothers(name: str) -> None:
 
 
 def test_finer_splittings_make_more_parts() -> None:
-    found = runs(simulated(seed=1, loop_s=20.0))
-    assert list(found) == list(SPLITS)
-    parts = [one.parts for one in found.values()]
-    assert found[ONE].parts == 1.0
+    log = simulated(seed=1, loop_s=20.0)
+    assert list(runs(log)) == list(SPLITS)
+    parts = []
+    for bounds in SPLITS.values():
+        c = compare(log, RunConfig(ekf=EkfConfig.of(**bounds)))
+        number = c.ekf.trace.measurements[POINT].number
+        parts.append(len(number) / len(np.unique(number)))
+    assert parts[list(SPLITS).index(ONE)] == 1.0
     assert parts[2] > max(parts[0], parts[1])
     assert parts[3] > 1.0

@@ -1,8 +1,10 @@
-"""A filter's run from within: stop after every scan and look."""
+"""Drives behind the figures: their truth, and a filter watched from scan to scan."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
@@ -14,6 +16,16 @@ from comparisons.logs.log import Log, Poses, Positions
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.core.trace import Trace
+
+D = TypeVar("D")
+
+
+@dataclass(frozen=True)
+class Drives(Generic[D]):
+    """What each of several drives left. log: on which they ran, in words. The first is drawn."""
+
+    log: str
+    each: tuple[D, ...]
 
 
 def watched_run(log: Log, positions: Positions | None = None) -> Iterator[tuple[float, Ekf]]:
@@ -38,3 +50,10 @@ def truth_in_order(log: Log) -> tuple[Poses, Array]:
     if poses is None or true is None or not log.measurements.labelled:
         raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
     return poses, true.places_of(log.measurements.labels_in_order)
+
+
+def true_surroundings(log: Log) -> tuple[Poses, Array]:
+    """Poses, and surfaces as segments (S, 4) [m]. Raises InputError for a log without truth."""
+    if log.truth.poses is None or log.truth.surfaces is None:
+        raise InputError(f"{log.name}: true poses and surfaces are needed")
+    return log.truth.poses, log.truth.surfaces.segment
