@@ -1,6 +1,6 @@
 """How often `slamcheck logs LOG` names what was done to a log, and accuses a sound one.
 
-    python benchmarks/log_doctor.py            # 37 damaged logs, 60 sound ones
+    python -m benchmarks.log_doctor            # 37 damaged logs, 60 sound ones
 
 Three kinds of odometry; drives among random posts, drawn from a seed each.
 """
@@ -76,29 +76,18 @@ def travelled(step: Array, turned: Array, share: float) -> Array:
     return np.vstack((np.zeros(3), np.cumsum(moves, axis=0)))
 
 
-def squared(name: str) -> Change:
-    """A sigma stated as its variance."""
-
-    def change(log: Log) -> Log:
-        stated = getattr(log.measurements, name) ** 2
-        return replace(log, measurements=replace(log.measurements, **{name: stated}))
-
-    return change
+def stated(name: str, change: Callable[[Array], Array]) -> Change:
+    """Other sigmas than the log has."""
+    return lambda log: replace(
+        log,
+        measurements=replace(log.measurements, **{name: change(getattr(log.measurements, name))}),
+    )
 
 
-def rates(log: Log) -> bool:
-    """Turns are rates, which go with the unit of time."""
-    return isinstance(log.odometry, VelocityOdometry)
-
-
-def mirrored(log: Log) -> Log:
-    """Poses whose y grows to the right, with headings to the left."""
-    return other_frame(log, "x", "-y", 1.0)
-
-
-def exchanged(log: Log) -> Log:
-    """Poses with x and y exchanged."""
-    return other_frame(log, "y", "x", 1.0)
+def in_milliseconds(log: Log) -> Log:
+    """Speeds per millisecond, and turns where they are rates, too."""
+    rate = 1e3 if isinstance(log.odometry, VelocityOdometry) else 1.0
+    return driven(log, (1e3, 0.0), (rate, 0.0))
 
 
 _DEGREE = np.pi / 180
@@ -117,28 +106,26 @@ EVERY: dict[str, tuple[Change, str]] = {
     "turns in degrees": (lambda g: driven(g, turn=(1.0 / _DEGREE, 0.0)), "is in degrees"),
     "a clock of 0.5 s": (lambda g: delayed(g, 0.5), "s later than the log says"),
     "a scale of 1.1": (lambda g: driven(g, (1.1, 0.0)), "times the log's"),
-    "range's variance": (squared("sigma_range_m"), "the sigma of ranges"),
-    "bearing's variance": (squared("sigma_bearing_rad"), "the sigma of bearings"),
+    "range's variance": (stated("sigma_range_m", np.square), "the sigma of ranges"),
+    "bearing's variance": (stated("sigma_bearing_rad", np.square), "the sigma of bearings"),
+    "bearing's sigma taken for degrees": (
+        stated("sigma_bearing_rad", lambda sigma: _DEGREE * sigma),
+        "was taken for degrees",
+    ),
 }
-EVERY["bearing's sigma taken for degrees"] = (
-    lambda g: replace(
-        g,
-        measurements=replace(
-            g.measurements, sigma_bearing_rad=_DEGREE * g.measurements.sigma_bearing_rad
-        ),
-    ),
-    "was taken for degrees",
-)
 WHEELS: dict[str, tuple[Change, str]] = {
-    "milliseconds": (
-        lambda g: driven(g, (1e3, 0.0), (1e3 if rates(g) else 1.0, 0.0)),
-        "times are milliseconds",
-    ),
+    "milliseconds": (in_milliseconds, "times are milliseconds"),
     "km/h": (lambda g: driven(g, (3.6, 0.0)), "speeds are km/h"),
 }
 POSES: dict[str, tuple[Change, str]] = {
-    "y to the right": (mirrored, "y of the poses grows to the right"),
-    "x and y exchanged": (exchanged, "x and y of the poses are exchanged"),
+    "y to the right": (
+        lambda g: other_frame(g, "x", "-y", 1.0),
+        "y of the poses grows to the right",
+    ),
+    "x and y exchanged": (
+        lambda g: other_frame(g, "y", "x", 1.0),
+        "x and y of the poses are exchanged",
+    ),
 }
 
 

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.coverage import Coverage, coverage, figures_of, wrong
-from benchmarks.sound_drives import extreme_log, sound_run
+from benchmarks.drives import extreme_log, sound_run
 from benchmarks.trust_row import Row, print_table
 from comparisons.config import EkfConfig, Filter, RunConfig, SolveConfig
 from comparisons.errors import InputError

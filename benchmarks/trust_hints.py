@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fault_logs import open_case
+from benchmarks.drives import open_case
 from benchmarks.stranger_faults import FORGETFUL, HELD_OUT, HINTS, Fault
 from benchmarks.strangers import Car, Ekf, Single, read_log
 from benchmarks.strangers import Log as Read
