@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +77,7 @@ def travelled(step: Array, turned: Array, share: float) -> Array:
     return np.vstack((np.zeros(3), np.cumsum(moves, axis=0)))
 
 
-def stated(name: str, change: Callable[[Array], Array]) -> Change:
+def stated(name: str, change: Callable[[Array], Any]) -> Change:
     """Other sigmas than the log has."""
     return lambda log: replace(
         log,

@@ -11,7 +11,7 @@ by five-fold cross-validation over so many simulated sensors.
 
 from __future__ import annotations
 
-import argparse
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.association_logs import piece, simulated_sensor
+from benchmarks.script import options
 from benchmarks.trust_row import Row, print_table
 from comparisons.checks import association_variants
 from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED
@@ -255,18 +256,8 @@ def _refused(one: Trial, apart: float, several: int) -> bool:
     return len(far) >= several or any(v.excess <= 0.0 for v in far)
 
 
-def main() -> None:
-    """Print the table, or the constants that are chosen."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--choose", type=int, metavar="SEEDS")
-    given = parser.parse_args()
-    if given.choose is not None:
-        print(choose(simulated_trials(range(given.choose))))
-    else:
-        print_table(rows(given.quick, given.data))
-
-
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, quick=False, data=DATA, choose=int)
+    if asked.choose is None:
+        sys.exit(print_table(rows(asked.quick, asked.data)))
+    print(choose(simulated_trials(range(asked.choose))))
