@@ -9,19 +9,7 @@ import pytest
 
 import slamcheck
 from benchmarks.stranger_faults import Plant, instead, late_odometry, noisy, scaled, spread
-from benchmarks.strangers import (
-    Arc,
-    Array,
-    ByRow,
-    Course,
-    Cubature,
-    Ekf,
-    Euler,
-    UnscentedHalf,
-    UnscentedThird,
-    read_log,
-    simulate,
-)
+from benchmarks.strangers import Array, Ekf, read_log
 from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
@@ -33,6 +21,16 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve
 from comparisons.words import Cause
+from tests.comparisons.newcomers import (
+    Arc,
+    ByRow,
+    Course,
+    Cubature,
+    Euler,
+    UnscentedHalf,
+    UnscentedThird,
+    simulate,
+)
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.helpers import present
 
