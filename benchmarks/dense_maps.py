@@ -6,10 +6,11 @@
 
 The documents' settings beside those that runs use, and each of them alone, on simulated drives of
 one loop (Nieto 2005, sections 3.9 and 4.1.3) with more landmarks among and behind the objects; six
-and eight drives if left out. --rules: some of the rows. --correlation: what regions cover, and how far the closing of the loop deforms them
-(Fig. 3.9), by the least correlation of their landmarks alone, as section 3.5 has it. --particles:
-weights of particles (Fig. 4.10), and how far they and Gaussians are from the surfaces over raw
-returns (Fig. 4.12), without and with those dropped that have come to lie on others.
+and eight drives if left out. --rules: some of the rows. --correlation: what regions cover, and how
+far the closing of the loop deforms them (Fig. 3.9), by the least correlation of their landmarks
+alone, as section 3.5 has it. --particles: weights of particles (Fig. 4.10), and how far they and
+Gaussians are from the surfaces over raw returns (Fig. 4.12), without and with those dropped that
+have come to lie on others.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ _ROUNDS = (1, 10)
 def errors_by_rule(seeds: int | None, among: int, rules: Sequence[str]) -> None:
     """What each of the documents' settings does to the occupancy layer, after the first loop.
 
-    rules: how the titles of the rows begin.
+    rules: titles of the rows, all where there is none.
     """
     print("means over drives of one loop; distances of occupied cells to the surfaces [m], median")
     print("/ 95 %; aligned: after the landmarks' motion onto the true ones; regions: when made")
@@ -75,7 +76,7 @@ def errors_by_rule(seeds: int | None, among: int, rules: Sequence[str]) -> None:
             ("nieto-2005, correlation 0.5", "nieto-2005", {"least_correlation": 0.5}),
             *((title, "recommended", fields) for title, fields in ALONE.items()),
         ):
-            if not title.startswith(tuple(rules)):
+            if rules and title not in rules:
                 continue
             each = mapped(logs, preset, ("occupancy",), fields)
             print(f"{title:30} {rule_row(each)}", flush=True)
@@ -158,7 +159,7 @@ def log_among(experiment: ScanExperiment, more: int, seed: int) -> Log:
 
 
 def mapped(
-    logs: Sequence[Log], preset: Preset, layers: Sequence[str], fields: Mapping[str, Any]
+    logs: Sequence[Log], preset: str, layers: Sequence[str], fields: Mapping[str, Any]
 ) -> list[DenseMapping]:
     """Map drives of one experiment by a preset's settings but for some."""
     config = MapConfig.of(
@@ -209,7 +210,7 @@ def distances(one: DenseMapping, name: str) -> tuple[Array, Array]:
 def main() -> None:
     """Measure and print."""
     asked = options(
-        __doc__, seeds=int, among=MORE_LANDMARKS, rules=("",), correlation=False, particles=False
+        __doc__, seeds=int, among=MORE_LANDMARKS, rules=(), correlation=False, particles=False
     )
     if asked.particles:
         by_particles(asked.seeds or 1)

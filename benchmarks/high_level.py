@@ -2,8 +2,8 @@
 
     python -m benchmarks.high_level [--first 100] [--seeds 30] [--loops 2] [--every 20]
 
-`occupancy-loop` (Nieto 2005, section 6.1.3) with and without them, seed by seed, with a search every
-20 s; errors of the vehicle over the whole drive and from the second loop on, and whether they
+`occupancy-loop` (Nieto 2005, section 6.1.3) with and without them, seed by seed, with a search
+every 20 s; errors of the vehicle over the whole drive and from the second loop on, and whether they
 differ. The 30 seeds from 100 were chosen before any of them was driven; the settings, on seeds 0 to
 9.
 """

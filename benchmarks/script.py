@@ -31,7 +31,7 @@ def options(doc: str | None, *given: str, **defaults: Any) -> argparse.Namespace
         elif isinstance(default, type):
             kind = {"type": default}
         elif isinstance(default, tuple):
-            kind = {"nargs": "+", "type": type(default[0]), "default": default}
+            kind = {"nargs": "+", "type": type(default[0]) if default else str, "default": default}
         parser.add_argument(f"--{name.replace('_', '-')}", **kind)
     return parser.parse_args()
 
