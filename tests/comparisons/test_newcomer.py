@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.stranger_faults import Plant, instead, late_odometry, noisy, scaled, spread
+from benchmarks.stranger_faults import Plant, changed, instead, late_odometry, scaled, spread
 from benchmarks.strangers import Array, Ekf, read_log
 from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
@@ -110,7 +110,7 @@ FAULTS: dict[str, Plant] = {
         expected=unwrapped, residual=lambda own, ekf, z, expected: z - expected
     ),
     "the odometry is used 1 sample late, the first twice": instead(predict=late_odometry),
-    "R holds sigma": noisy(lambda ekf, k, r: np.sqrt(r)),
+    "R holds sigma": changed("noise", lambda ekf, k, r: np.sqrt(r)),
     "R is 0.317 times the log's": scaled("noise", 0.317),
 }
 
@@ -188,7 +188,9 @@ def test_a_fault_that_comes_late_is_dated(folder: Path, tmp_path: Path, traced: 
     def smaller(ekf: Ekf, k: int, r: Array) -> Array:
         return 0.3 * r if ekf.log.used_s[k] >= since else r
 
-    noisy(smaller)(Newcomer)(read_log(folder)).run().write(tmp_path / "mine", traced=traced)
+    changed("noise", smaller)(Newcomer)(read_log(folder)).run().write(
+        tmp_path / "mine", traced=traced
+    )
     found = slamcheck.check(log, tmp_path / "mine", require="like")
     left, rows = found.departure, np.flatnonzero(log.measurements.time_s == since)
     assert found.outcome == "disagree"
