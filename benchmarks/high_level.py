@@ -1,14 +1,18 @@
 """High level landmarks: what they are worth to the vehicle.
 
-    python -m benchmarks.high_level [--first 100] [--seeds 30] [--loops 2] [--every 20]
+    python benchmarks/high_level.py [--first 100] [--seeds 30] [--loops 2] [--every 20]
 
-`occupancy-loop` (Nieto 2005, section 6.1.3) with and without them, seed by seed, with a search
-every 20 s; errors of the vehicle over the whole drive and from the second loop on, and whether they
-differ. The 30 seeds from 100 were chosen before any of them was driven; the settings, on seeds 0 to
-9.
+`occupancy-loop` (Nieto 2005, section 6.1.3) with and without them, seed by seed; errors of the
+vehicle over the whole drive and from the second loop on, and whether they differ. The 30 seeds from
+100 were chosen before any of them was driven; the settings, on seeds 0 to 9.
 """
 
 from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from benchmarks.script import options, present
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -48,8 +51,9 @@ class Drive(NamedTuple):
 
 def errors(log: Log, run: EkfRun) -> Array:
     """(6,) of the vehicle: root mean squares over the drive and after a loop; NEES, mean, last."""
-    time_s = run.estimate.time_s
-    error = run.departed - present(log.truth.poses).at(time_s)
+    poses, time_s = log.truth.poses, run.estimate.time_s
+    assert poses is not None
+    error = run.departed - poses.at(time_s)
     error[:, 2] = wrap_angle(error[:, 2])
     covariance = run.estimate.pose_covariance[1:]
     nees = np.einsum("ki,ki->k", error[1:], np.linalg.solve(covariance, error[1:, :, None])[..., 0])
@@ -131,8 +135,14 @@ def shown(without: Array, with_them: Array) -> str:
 
 def main() -> None:
     """Measure and print."""
-    asked = options(__doc__, first=100, seeds=30, loops=2, every=20.0)
-    value_of_landmarks(range(asked.first, asked.first + asked.seeds), asked.loops, asked.every)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--first", type=int, default=100, help="first seed")
+    parser.add_argument("--seeds", type=int, default=30, help="number of seeds")
+    parser.add_argument("--loops", type=int, default=2)
+    parser.add_argument("--every", type=float, default=20.0, help="seconds between two searches")
+    choices = parser.parse_args()
+    seeds = range(choices.first, choices.first + choices.seeds)
+    value_of_landmarks(seeds, choices.loops, choices.every)
 
 
 if __name__ == "__main__":
