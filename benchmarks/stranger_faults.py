@@ -243,11 +243,6 @@ def from_departed(own: Change, ekf: Ekf, pose: Array, z: Array) -> Any:
     return (own(ekf.departed, z)[0], *own(pose, z)[1:])
 
 
-def late_odometry(own: Change, ekf: Ekf, number: int, *args: float) -> None:
-    """Drive by the sample before."""
-    own(max(number - 1, 0), *args)
-
-
 def forgets(own: Change, ekf: Ekf, *args: Any) -> None:
     """Lose a hundredth of the vehicle's covariance with the map."""
     own(*args)

@@ -2,7 +2,7 @@
 
     python -m benchmarks.trust_sound [--quick] [--list]
 
-Drives of the log doctor, with three kinds of odometry, through `run`; traces of the filters in
+Drives with three kinds of odometry through `run`; traces of the filters in
 examples/audit through `audit`; graphs whose edges are drawn from their information through `solve`.
 A cause, a fault, a reading of the edges or a note on them counts as an accusation. What else stands
 beside a verdict is counted; --list prints both. --quick takes a tenth of each. The exit code is 1
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.audit_faults import FILTERS
-from benchmarks.log_doctor import sound, travelled
+from benchmarks.odometry_drives import sound, travelled
 from benchmarks.script import options
 from benchmarks.trust_row import Row, print_table
 from comparisons.audit.audit import audit
