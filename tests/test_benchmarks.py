@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks import bench, dense_maps, peers
+from benchmarks.script import options
 from benchmarks.timing import Pair, Side, Spent, interleaved
 from benchmarks.timing import run as ran
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
@@ -62,6 +63,25 @@ BENCHMARKS = (
         "filter alone:; recorded:; recorder:; commits:; file:; read:; audit:.*sound$",
     ),
 )
+
+
+def test_a_scripts_options_are_of_the_kind_of_their_defaults(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("log.toml", "--runs-a-day", "3", "--scale", "2", "--data", "x", "--names", "a", "b")
+    monkeypatch.setattr(sys, "argv", ["script", *words, "--quick"])
+    found = options(
+        "Words.", "log", runs_a_day=1, scale=0.5, data=Path, names=(), seeds=(1, 2), quick=False
+    )
+    assert vars(found) == {
+        "log": "log.toml", "runs_a_day": 3, "scale": 2.0, "data": Path("x"),
+        "names": ["a", "b"], "seeds": (1, 2), "quick": True,
+    }  # fmt: skip
+    for wrong in (["log.toml", "--runs-a-day", "many"], ["log.toml", "--slow"], []):
+        monkeypatch.setattr(sys, "argv", ["script", *wrong])
+        with pytest.raises(SystemExit):
+            options("Words.", "log", runs_a_day=1)
+    assert "usage: script [-h] [--runs-a-day RUNS_A_DAY] log" in capsys.readouterr().err
 
 
 @pytest.mark.slow
