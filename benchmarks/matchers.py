@@ -13,6 +13,11 @@ is too wide. The correlations are also told how wide a guess may be wrong, and s
 
 from __future__ import annotations
 
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -21,7 +26,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.script import options
 from benchmarks.timing import timed
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_worlds import dense_slam_world, occupancy_world, scan_slam_world
@@ -235,8 +239,10 @@ def usual_times(pairs: list[Pair]) -> str:
 
 def main() -> None:
     """Run all, print a table."""
-    count = options(__doc__, pairs=20).pairs
-    pairs = simulated_pairs(np.random.default_rng(0), count)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pairs", type=int, default=20)
+    choices = parser.parse_args()
+    pairs = simulated_pairs(np.random.default_rng(0), choices.pairs)
     basins = {name: basin(make(), pairs) for name, make in COMPARED.items()}
     print("\n".join(table(f"{len(pairs)} simulated", basins)))
     print(usual_times(pairs))

@@ -153,10 +153,6 @@ class Ekf:
         u: Array = self.log.u[number]
         return u
 
-    def control(self, number: int) -> tuple[Array, Array]:
-        """Return speed and yaw rate of a sample, with their covariance."""
-        return self.driven(number), self.control_noise
-
     def process(self, b: Array, noise: Array, dt: float) -> Array:
         """Return Q of a step."""
         return b @ noise @ b.T + dt * self.rates
@@ -170,10 +166,9 @@ class Ekf:
     def predict(self, number: int, dt: float, end_s: float) -> None:
         """Drive by a sample of the odometry for dt."""
         before = self.x[self.v]
-        u, noise = self.control(number)
-        arrived, f, b = self.motion(before, u, dt)
+        arrived, f, b = self.motion(before, self.driven(number), dt)
         self.departed, self.arrived, self.lasted_s = before, arrived, dt
-        f, q = self.cast(f, self.process(b, noise, dt))
+        f, q = self.cast(f, self.process(b, self.control_noise, dt))
         self.x[self.v] = arrived
         self.carry(f, q)
         self.note("at", end_s)
@@ -209,9 +204,9 @@ class Ekf:
         """Return R of a measurement that initialises a landmark."""
         return self.noise(k)
 
-    def linearised(self, ks: Array, x: Array) -> tuple[Array, Array, Array]:
-        """Return H, innovation and R of measurements at a state."""
-        h, nu = np.zeros((2 * len(ks), len(x))), np.zeros(2 * len(ks))
+    def linearised(self, ks: Array) -> tuple[Array, Array, Array]:
+        """Return H, innovation and R of measurements at the state."""
+        h, nu, x = np.zeros((2 * len(ks), len(self.x))), np.zeros(2 * len(ks)), self.x
         r = np.zeros((2 * len(ks),) * 2)
         for at, k in enumerate(ks):
             rows, index = slice(2 * at, 2 * at + 2), self.index[self.log.label[k]]
@@ -221,18 +216,14 @@ class Ekf:
             nu[rows], r[rows, rows] = self.residual(self.seen(k), expected), self.noise(k)
         return h, nu, r
 
-    def note_update(self, ks: Array, x: Array, h: Array, nu: Array, r: Array) -> None:
-        """Keep what was linearised at a state."""
+    def update(self, ks: Array) -> None:
+        """Update by measurements of known landmarks, at once."""
+        h, nu, r = self.cast(*self.linearised(ks))
         labels = dict.fromkeys(self.log.label[ks].tolist())
         rows = np.concatenate((self.v, *(self.index[label] for label in labels)))
         blocks = ["pose", *(f"landmark {label}" for label in labels)]
-        beside = {"point": x[rows], "numbers": self.log.row[ks]}
+        beside = {"point": self.x[rows], "numbers": self.log.row[ks]}
         self.note("update", "landmarks", nu, h[:, rows], r, blocks, **beside)
-
-    def update(self, ks: Array) -> None:
-        """Update by measurements of known landmarks, at once."""
-        h, nu, r = self.cast(*self.linearised(ks, self.x))
-        self.note_update(ks, self.x, h, nu, r)
         self.correct(h, nu, r)
 
     def correct(self, h: Array, nu: Array, r: Array) -> None:
@@ -310,14 +301,13 @@ class Ekf:
             self.path.append((t, self.x[:3].copy(), self.p[:3, :3].copy()))
         return self
 
-    def tum(self, pose: Array) -> list[float]:
-        """Return a pose as a line of the trajectory."""
-        return [*pose[:2], 0.0, 0.0, 0.0, np.sin(0.5 * pose[2]), np.cos(0.5 * pose[2])]
-
     def write(self, folder: Path, traced: bool) -> None:
         """Write an estimate folder."""
         folder.mkdir(parents=True)
-        rows = [[t, *self.tum(pose)] for t, pose, _ in self.path]
+        rows = [
+            (t, *pose[:2], 0.0, 0.0, 0.0, np.sin(0.5 * pose[2]), np.cos(0.5 * pose[2]))
+            for t, pose, _ in self.path
+        ]
         np.savetxt(folder / "trajectory.tum", rows, ["%.9f"] + ["%.17g"] * 7)
         places = zip(self.index, self.x[3::2].tolist(), self.x[4::2].tolist(), strict=True)
         lines = [f"{label},{px!r},{py!r}" for label, px, py in places]

@@ -154,7 +154,7 @@ class Unscented(Ekf):
 
     def predict(self, number: int, dt: float, end_s: float) -> None:
         """Sigma points of pose and control."""
-        u, noise = self.control(number)
+        u, noise = self.driven(number), self.control_noise
         cov = np.zeros((5, 5))
         cov[:3, :3], cov[3:, 3:] = self.p[:3, :3], noise
         mean = np.append(self.x[:3], u)
