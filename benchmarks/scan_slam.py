@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -101,7 +100,8 @@ def main() -> None:
     drives = Parallel(n_jobs=asked.processes, return_as="generator")(work)
     for seed, row in zip(seeds, drives, strict=True):
         rows.append(row)
-        print(f"{seed:4}", *(_shown(value) for value in vars(row).values()), flush=True)
+        figures = (f"{vars(row)[name]:14.3g}" for name in names[1:])
+        print(f"{seed:4}", f"{row.verdict:>14}", *figures, flush=True)
     summary(rows)
 
 
@@ -146,8 +146,7 @@ def measured(seed: int, laser: str, seconds: float) -> Row:
     nees = np.einsum("ki,kij,kj->k", error, np.linalg.inv(estimate.pose_covariance + 1e-12), error)
     true = true_axes(c, drive)
     places, distances = landmark_nees(c, true)
-    before, last, smoothed = _map_errors(c)
-    shape_before, shape_last = _shapes(c, true)
+    before, last, smoothed, shape_before, shape_last = map_errors(c, true)
     return Row(
         verdict=c.verdict.outcome,
         landmarks=len(estimate.pose_landmarks),
@@ -230,10 +229,11 @@ def _seen_together(c: Comparison) -> list[tuple[int, int]]:
     return sorted(found)
 
 
-def _map_errors(c: Comparison) -> tuple[float, float, float]:
-    """Medians of the templates' distances from the surfaces: before, at the end, smoothed.
+def map_errors(c: Comparison, true: Array) -> tuple[float, ...]:
+    """How far the landmarks are off that there were before the closing, five figures [m].
 
-    All three of the landmarks that there were before the closing.
+    Medians of the templates' distances from the surfaces: before, at the end, smoothed. RMS from
+    the true axes (Q, 3), aligned: before, at the end.
     """
     source, smoothed = c.find(ScanLandmarksFinding).source, c.gaps.smoothed
     closing, surfaces = present(source.closing), present(c.log.truth.surfaces)
@@ -241,34 +241,17 @@ def _map_errors(c: Comparison) -> tuple[float, float, float]:
     kept = np.isin(closing.landmark_index, smoothed.pose_landmark_id)
     index = closing.landmark_index[kept]
     row = np.searchsorted(smoothed.pose_landmark_id, index)
-    places = (
-        closing.before[kept],
-        c.ekf.pose_landmark_places[index],
-        smoothed.pose_landmarks[row],
-    )
-    before, last, best = (
+    before, last = closing.before[kept], c.ekf.pose_landmark_places[index]
+    medians = (
         error_of_points(template_points(source.found, index, place), surfaces.segment).median_m
-        for place in places
+        for place in (before, last, smoothed.pose_landmarks[row])
     )
-    return before, last, best
-
-
-def _shapes(c: Comparison, true: Array) -> tuple[float, float]:
-    """RMS of landmarks from the true ones, aligned, of those before the closing; at the end."""
-    closing = present(c.find(ScanLandmarksFinding).source.closing)
-    ids = c.ekf.estimate.pose_landmark_id
-    kept = np.isin(closing.landmark_index, ids)
-    index = closing.landmark_index[kept]
-    axes = true[np.searchsorted(ids, index), :2]
-    before, last = (
+    axes = true[row, :2]
+    shapes = (
         float(np.sqrt(np.square(aligned(place[:, :2], axes) - axes).sum(axis=1).mean()))
-        for place in (closing.before[kept], c.ekf.pose_landmark_places[index])
+        for place in (before, last)
     )
-    return before, last
-
-
-def _shown(value: Any) -> str:
-    return f"{value:>14}" if isinstance(value, str) else f"{value:14.3g}"
+    return *medians, *shapes
 
 
 if __name__ == "__main__":
