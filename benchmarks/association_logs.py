@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.script import present
 from comparisons.arrays import Array
 from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
@@ -172,23 +173,23 @@ def piece(log: Log, begin_s: float, end_s: float, seed: int = 0, noise: float = 
     """
     rng, odometry, seen = np.random.default_rng((seed, 7)), log.odometry, log.measurements
     assert isinstance(odometry, VelocityOdometry)
-    assert log.truth.poses is not None
     rows = (odometry.time_s >= begin_s) & (odometry.time_s <= end_s)
     kept = seen.chosen((seen.time_s > begin_s) & (seen.time_s <= end_s))
     drawn, grown = noise * rng.standard_normal((2, len(kept.time_s))), math.hypot(1.0, noise)
     rate = noise**2 * odometry.noise.variance_rate_heading
     step_s = float(np.median(np.diff(odometry.time_s)))
-    turned = math.sqrt(rate / step_s) * rng.standard_normal(int(np.count_nonzero(rows)))
+    driven = odometry.chosen(rows)
+    turned = math.sqrt(rate / step_s) * rng.standard_normal(len(driven.time_s))
     spread = odometry.noise.variance_rate_heading + rate
     return replace(
         log,
         name=f"{log.name}-{begin_s:.0f}-{noise:g}",
-        prior=replace(log.prior, time_s=begin_s, pose=log.truth.poses.at(np.array([begin_s]))[0]),
+        prior=replace(
+            log.prior, time_s=begin_s, pose=present(log.truth.poses).at(np.array([begin_s]))[0]
+        ),
         odometry=replace(
-            odometry,
-            time_s=odometry.time_s[rows],
-            speed_mps=odometry.speed_mps[rows],
-            yaw_rate_radps=odometry.yaw_rate_radps[rows] + turned,
+            driven,
+            yaw_rate_radps=driven.yaw_rate_radps + turned,
             noise=replace(odometry.noise, variance_rate_heading=spread),
         ),
         measurements=replace(

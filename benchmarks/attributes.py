@@ -1,17 +1,19 @@
 """Association with more than position: trees by their diameter, reflectors by their intensity.
 
-    python benchmarks/attributes.py [--seeds 10] [--victoria-park DIR] [--car-park DIR]
+    python -m benchmarks.attributes [--seeds 10] [--victoria-park DIR] [--car-park DIR]
+                                    [--loops 2] [--lost 5 10 20 40] [--every 20]
 
 Simulated: pairs of trees 0.6 m apart along Nieto's loop, scored by the true landmarks. Victoria
-Park: what is recognised after blind stretches, what the diameters scatter by, and the whole run
-without and with them. Car park: what intensities say.
+Park: what is recognised after blind stretches of so many seconds, what the diameters scatter by,
+and the whole run without and with them. Car park: what intensities say.
 """
 
 from __future__ import annotations
 
-import argparse
 import copy
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,12 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from benchmarks.script import options
 from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_loop import run_filter_loop
+from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
-from comparisons.checks.association import score_partition
+from comparisons.checks.association import PartitionScore, score_partition
 from comparisons.config import EkfConfig
 from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park, victoria_park
@@ -35,6 +40,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace
 
 LandmarkIndices = NDArray[np.intp]
+ASSOCIATIONS, USE = ("nn", "jcbb"), ("off", "on")
 APART_M = 0.6
 DIAMETERS_M = (0.15, 0.9)
 LONG_S = 60.0
@@ -67,27 +73,32 @@ def run(log: Log, filter_name: str, association: str, attributes: str) -> EkfRun
     return run_ekf(log, build_timeline(log), choices)
 
 
+def scored(done: EkfRun, true: LandmarkIndices) -> PartitionScore:
+    """How the run's measurements are put together, beside another's (M,), where both know."""
+    true = true[: len(done.landmark_index)]
+    return score_partition(done.landmark_index[true >= 0], true[true >= 0])
+
+
 def simulated(seeds: int, loops: float) -> None:
     """Pairs of trees, by nearest neighbour and joint compatibility."""
     print(f"pairs of trees {APART_M} m apart, {seeds} drives: precision, recall, landmarks, ATE")
-    for association in ("nn", "jcbb"):
-        for attributes in ("off", "on"):
-            rows = []
-            for seed in range(seeds):
-                log = paired_trees(seed, loops)
-                done = run(log, "compressed", association, attributes)
-                score = score_partition(
-                    done.landmark_index, log.measurements.landmark[: len(done.landmark_index)]
-                )
-                accuracy = assess(done.estimate, log, labelled=False)
-                ate = np.nan if accuracy is None else accuracy.ate_m
-                rows.append((score.precision, score.recall, len(done.estimate.landmark), ate))
-            median = np.median(np.array(rows, dtype=float), axis=0)
-            worst = np.min(np.array(rows, dtype=float)[:, :2], axis=0)
-            print(
-                f"{association:5} attributes {attributes:4} {median[0]:.3f} {median[1]:.3f} "
-                f"{median[2]:.0f} {median[3]:.2f} m (worst {worst[0]:.3f} {worst[1]:.3f})"
+    for association, attributes in product(ASSOCIATIONS, USE):
+        rows = []
+        for seed in range(seeds):
+            log = paired_trees(seed, loops)
+            done = run(log, "compressed", association, attributes)
+            score = scored(done, log.measurements.landmark)
+            accuracy = assess(done.estimate, log, labelled=False)
+            assert accuracy is not None
+            assert accuracy.ate_m is not None
+            rows.append(
+                (score.precision, score.recall, len(done.estimate.landmark), accuracy.ate_m)
             )
+        median, worst = np.median(rows, axis=0), np.min(rows, axis=0)
+        print(
+            f"{association:5} attributes {attributes:4} {median[0]:.3f} {median[1]:.3f} "
+            f"{median[2]:.0f} {median[3]:.2f} m (worst {worst[0]:.3f} {worst[1]:.3f})"
+        )
 
 
 def scatter(log: Log, landmark_index: LandmarkIndices) -> None:
@@ -135,56 +146,17 @@ def park(log: Log) -> None:
     scatter(log, reference)
     print("Victoria Park, attributes: pairs' precision and recall, landmarks, ambiguous,")
     print("  candidates, GPS median and RMS (aligned)")
-    for association in ("nn", "jcbb"):
-        for attributes in ("off", "on"):
-            done = run(log, "compressed", association, attributes)
-            true = reference[: len(done.landmark_index)]
-            score = score_partition(done.landmark_index[true >= 0], true[true >= 0])
-            accuracy = assess(done.estimate, log, labelled=False)
-            assert accuracy is not None
-            print(
-                f"{association:5} {attributes:4} {score.precision:.3f} {score.recall:.3f} "
-                f"{len(done.estimate.landmark)} {done.unused['ambiguous']} "
-                f"{done.unused['candidate']} {accuracy.gps_median_aligned_m:.2f} "
-                f"{accuracy.gps_rms_aligned_m:.2f} m",
-                flush=True,
-            )
-
-
-class Course:
-    """A filter stepped through a log, so that it can be copied on the way and go on blindly."""
-
-    def __init__(self, log: Log) -> None:
-        """Stands before the first epoch."""
-        self.timeline, seen = build_timeline(log), log.measurements
-        self.time_s = self.timeline.epoch_time_s
-        self._until = self.timeline.steps_until(), self.timeline.measurements_until()
-        self._z = np.column_stack((seen.range_m, seen.bearing_rad))
-        self._sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-        self._label, self._reported = seen.landmark, measured_attributes(log)
-
-    def rows(self, epoch: int) -> LandmarkIndices:
-        """The measurements of an epoch."""
-        return np.arange(self._until[1][epoch], self._until[1][epoch + 1])
-
-    def move(self, ekf: Ekf, epoch: int) -> None:
-        """Predict up to an epoch from the one before."""
-        steps, line = self._until[0], self.timeline
-        for i in range(int(steps[epoch - 1]) if epoch else 0, int(steps[epoch])):
-            duration = float(line.step_duration_s[i])
-            ekf.predict(line.control[i], line.control_covariance[i], duration)
-
-    def look(self, ekf: Ekf, epoch: int) -> LandmarkIndices:
-        """Fuse what is seen there."""
-        rows = self.rows(epoch)
-        if not len(rows):
-            return np.zeros(0, dtype=np.intp)
-        return ekf.observe(
-            self._z[rows],
-            self._sigma[rows],
-            self._label[rows],
-            float(self.time_s[epoch]),
-            self._reported.take(rows),
+    for association, attributes in product(ASSOCIATIONS, USE):
+        done = run(log, "compressed", association, attributes)
+        score = scored(done, reference)
+        accuracy = assess(done.estimate, log, labelled=False)
+        assert accuracy is not None
+        print(
+            f"{association:5} {attributes:4} {score.precision:.3f} {score.recall:.3f} "
+            f"{len(done.estimate.landmark)} {done.unused['ambiguous']} "
+            f"{done.unused['candidate']} {accuracy.gps_median_aligned_m:.2f} "
+            f"{accuracy.gps_rms_aligned_m:.2f} m",
+            flush=True,
         )
 
 
@@ -203,30 +175,29 @@ class Stretch(NamedTuple):
 
 
 def blindly(
-    course: Course, ekf: Ekf, epoch: int, length_s: float
+    log: Log, ekf: Ekf, begin_s: float, length_s: float
 ) -> tuple[LandmarkIndices, LandmarkIndices]:
-    """Run a filter on from an epoch without measurements; return rows and landmark indices."""
-    landmark_indices, rows = [], []
-    for j in range(epoch + 1, len(course.time_s)):
-        since = course.time_s[j] - course.time_s[epoch]
-        if since > length_s + AFTER_S:
-            break
-        course.move(ekf, j)
-        if since > length_s:
-            rows.append(course.rows(j))
-            landmark_indices.append(course.look(ekf, j))
-    return np.concatenate(rows), np.concatenate(landmark_indices)
+    """Run a filter on from an epoch, at first without measurements; rows and landmark indices."""
+    sees_s, seen_s = begin_s + length_s, log.measurements.time_s
+    rows = np.flatnonzero((seen_s > sees_s) & (seen_s <= sees_s + AFTER_S))
+    rest = cut_log(log, begin_s - log.prior.time_s, sees_s + AFTER_S - log.prior.time_s + 1.0)
+    rest = replace(rest, measurements=log.measurements.chosen(rows))
+    # The instants stay, and with them the steps.
+    timeline = build_timeline(rest, looks=seen_s[(seen_s > begin_s) & (seen_s <= sees_s)])
+    epochs = run_filter_loop(ekf, rest, timeline)
+    return rows, np.concatenate([epoch.landmark_indices for epoch in epochs])
 
 
-def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> None:
+def lost(log: Log, association: str, blind_s: Sequence[float], every_s: float) -> None:
     """Blind from here on for a while: is what is seen afterwards taken for what it is?
 
     At regular times the filter, which goes by position but remembers diameters, is copied twice;
     both copies drive on without measurements, and only one of them uses diameters afterwards. The
     filter that was never blind says what is right.
     """
+    log = replace(log, positions=None)
     choices = settle(EkfConfig(filter="compressed", association=association, attributes="on"), log)
-    course, ekf = Course(log), build_ekf(log, choices, Trace())
+    timeline, ekf = build_timeline(log), build_ekf(log, choices, Trace())
     using = ekf.association
     assert isinstance(using, RememberedAttributes)
     by_position = build_association(log, choices.model_copy(update={"attributes": "off"}))
@@ -236,45 +207,39 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
     begins = np.arange(
         log.prior.time_s + 2.0 * every_s, log.end_s - max(blind_s) - AFTER_S, every_s
     )
-    starts = set(np.searchsorted(course.time_s, begins).tolist())
-    for k in range(len(course.time_s)):
-        course.move(ekf, k)
-        true[course.rows(k)] = course.look(ekf, k)
-        if k not in starts:
-            continue
-        for length in blind_s:
-            for attributes in ("off", "on"):
-                copied, rule = copy.deepcopy((ekf, using))
-                if attributes == "on":
-                    copied.association = rule
-                seen = blindly(course, copied, k, length)
-                found.append(Stretch(length, attributes, ekf.state.landmark_count, *seen))
-    print_stretches(log, association, blind_s, found, true)
+    starts = set(timeline.epoch_time_s[np.searchsorted(timeline.epoch_time_s, begins)].tolist())
+    for epoch in run_filter_loop(ekf, log, timeline):
+        true[epoch.rows] = epoch.landmark_indices
+        for length, attributes in product(blind_s, USE) if epoch.time_s in starts else ():
+            copied, rule = copy.deepcopy((ekf, using))
+            if attributes == "on":
+                copied.association = rule
+            seen = blindly(log, copied, epoch.time_s, length)
+            found.append(Stretch(length, attributes, ekf.state.landmark_count, *seen))
+    print_stretches(f"{log.name}, blind for, {association}", found, true)
 
 
-def print_stretches(
-    log: Log, association: str, blind_s: list[float], found: list[Stretch], true: LandmarkIndices
-) -> None:
+def print_stretches(title: str, found: list[Stretch], true: LandmarkIndices) -> None:
     """How the measurements after blind stretches were taken, by length and use of attributes.
 
     true: (M,) what the filter that was never blind took every measurement for.
     """
     print(
-        f"{log.name}, blind for, {association}, attributes: measurements of known landmarks in the "
+        f"{title}, attributes: measurements of known landmarks in the "
         f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
     )
-    for length in blind_s:
+    for length in dict.fromkeys(one.length_s for one in found):
         right: dict[str, list[float]] = {}
-        for attributes in ("off", "on"):
+        for attributes in USE:
             counts, right[attributes] = np.zeros(3), []
             for one in found:
                 known = (true[one.rows] >= 0) & (true[one.rows] < one.known)
                 if one[:2] != (length, attributes) or not known.any():
                     continue
                 said, meant = one.landmark_indices[known], true[one.rows][known]
-                counts += [(said == meant).sum(), ((said >= 0) & (said != meant)).sum(),
-                           (said < 0).sum()]  # fmt: skip
-                right[attributes].append(float((said == meant).mean()))
+                hit, unused = said == meant, said < 0
+                counts += (hit.sum(), (~hit & ~unused).sum(), unused.sum())
+                right[attributes].append(float(hit.mean()))
             share = 100.0 * counts / counts.sum()
             print(
                 f"{length:4g} s {attributes:4} {share[0]:.1f} {share[1]:.1f} {share[2]:.1f} %; "
@@ -290,11 +255,10 @@ def car_park(folder: Path) -> None:
     log = acfr_car_park.read(folder)
     truth = log.truth.landmarks
     assert truth is not None
-    for attributes in ("off", "on"):
-        done = run(log, "full", "nn", attributes)
-        place, landmark_index = done.estimate.landmark, done.landmark_index
-        away = np.linalg.norm(place[:, None] - truth.position_m[None], axis=2).min(axis=1)
-        beacon = away <= 0.5
+    runs = {attributes: run(log, "full", "nn", attributes) for attributes in USE}
+    for attributes, done in runs.items():
+        away = np.linalg.norm(done.estimate.landmark[:, None] - truth.position_m, axis=2)
+        beacon = away.min(axis=1) <= 0.5
         accuracy = assess(done.estimate, log, labelled=False)
         assert accuracy is not None
         print(
@@ -302,56 +266,46 @@ def car_park(folder: Path) -> None:
             f"{(~beacon).sum()} elsewhere, {done.unused['ambiguous']} ambiguous, beacons' RMSE "
             f"{accuracy.landmark_rmse_m:.3f} m"
         )
-        if attributes == "on":
-            continue
-        used = landmark_index >= 0
-        of_beacon = np.zeros(len(landmark_index), dtype=bool)
-        of_beacon[used] = beacon[landmark_index[used]]
-        distance, lit = (
-            log.measurements.range_m[: len(landmark_index)],
-            log.measurements.intensity[: len(landmark_index)],
-        )
-        for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0)):
-            near = used & (distance >= low) & (distance < high)
-            cells = [
-                f"{name} {lit[rows].mean():.0f} +- {lit[rows].std():.0f} ({rows.sum()})"
-                for name, rows in (("beacons", near & of_beacon), ("others", near & ~of_beacon))
-                if rows.any()
-            ]
-            print(f"  intensity at {low:g} to {high:g} m: {', '.join(cells)}")
-        mean = np.bincount(landmark_index[used], lit[used]) / np.bincount(landmark_index[used])
-        within = lit[used] - mean[landmark_index[used]]
-        print(
-            f"  within landmarks {within.std():.0f}, between beacons {mean[beacon].std():.0f}, "
-            f"median of all {np.median(lit):.0f}"
-        )
-
-    reference, times = (
-        run(log, "full", "nn", "off").landmark_index,
-        np.unique(log.measurements.time_s),
-    )
+        if attributes == "off":
+            intensities(log, done.landmark_index, beacon)
+    times = np.unique(log.measurements.time_s)
     scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
         part, reported = replace(log, measurements=log.measurements.chosen(kept)), []
-        for attributes in ("off", "on"):
-            landmark_index = run(part, "full", "nn", attributes).landmark_index
-            true = reference[kept][: len(landmark_index)]
-            score = score_partition(landmark_index[true >= 0], true[true >= 0])
+        for attributes in USE:
+            score = scored(run(part, "full", "nn", attributes), runs["off"].landmark_index[kept])
             reported.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
         print(f"  every {every} scans, pairs' precision and recall: {', '.join(reported)}")
 
 
+def intensities(log: Log, landmark_index: LandmarkIndices, beacon: NDArray[np.bool_]) -> None:
+    """Intensities by distance, and how they vary. beacon: (L,) which landmarks are one."""
+    used, seen = landmark_index >= 0, log.measurements
+    of_beacon = used & beacon[landmark_index]
+    distance, lit = (one[: len(used)] for one in (seen.range_m, seen.intensity))
+    for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0)):
+        near = used & (distance >= low) & (distance < high)
+        cells = [
+            f"{name} {lit[rows].mean():.0f} +- {lit[rows].std():.0f} ({rows.sum()})"
+            for name, rows in (("beacons", near & of_beacon), ("others", near & ~of_beacon))
+            if rows.any()
+        ]
+        print(f"  intensity at {low:g} to {high:g} m: {', '.join(cells)}")
+    mean = np.bincount(landmark_index[used], lit[used]) / np.bincount(landmark_index[used])
+    within = lit[used] - mean[landmark_index[used]]
+    print(
+        f"  within landmarks {within.std():.0f}, between beacons {mean[beacon].std():.0f}, "
+        f"median of all {np.median(lit):.0f}"
+    )
+
+
 def main() -> None:
     """Run what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--loops", type=float, default=2.0)
-    parser.add_argument("--victoria-park", type=Path)
-    parser.add_argument("--lost", type=float, nargs="+", default=[5.0, 10.0, 20.0, 40.0])
-    parser.add_argument("--every", type=float, default=20.0)
-    parser.add_argument("--car-park", type=Path)
-    given = parser.parse_args()
+    blind = (5.0, 10.0, 20.0, 40.0)
+    given = options(
+        __doc__, seeds=10, loops=2.0, victoria_park=Path, car_park=Path, lost=blind, every=20.0
+    )
     if given.seeds:
         simulated(given.seeds, given.loops)
         lost(paired_trees(0, given.loops), "nn", given.lost, given.every)
@@ -359,7 +313,7 @@ def main() -> None:
         car_park(given.car_park)
     if given.victoria_park is not None:
         log = victoria_park.read(given.victoria_park)
-        for association in ("nn", "jcbb"):
+        for association in ASSOCIATIONS:
             lost(log, association, given.lost, given.every)
         park(log)
 

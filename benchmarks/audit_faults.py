@@ -1,28 +1,25 @@
 """Which faults in other people's filters the audit finds, and how often it flags sound ones.
 
-    python -m benchmarks.audit_faults [--seed 2000] [--sound 50] [--snapshots 1]
-                                     [--filters NAME ...]
+    python -m benchmarks.audit_faults [--seed 2000] [--sound 50]
 
 Each of ten faults in each filter of examples/audit is recorded and audited. The first fault that
 the audit reports is right in its event if no snapshot tells it from the planted one; where a sensor
 is at fault from some time on, if it is within a tenth of the trace's events. It is right in its
 blocks if they hold the planted ones, or are some of them; of a sensor, if it is named. Then sound
-traces are audited, seeds 1000 and up; the interval is Clopper and Pearson's, 95 %.
+traces are audited, so many of each filter, seeds 1000 and up; the interval is Clopper and
+Pearson's, 95 %.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import tempfile
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.defects import interval
+from benchmarks.defects import share
+from benchmarks.script import options, print_head, print_row
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import audit
 from comparisons.trace.events import Snapshot
@@ -30,7 +27,6 @@ from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted
 
 FILTERS = ("filterpy_ekf", "navlie_se3", "gtsam_filters", "msckf")
-MORE = ("filterpy_ukf",)
 FIRST_SOUND = 1000
 
 
@@ -68,55 +64,46 @@ def _same_blocks(finding: Finding, planted: Planted) -> bool:
     return bool(found) and (found <= sought or sought <= found)
 
 
-def planted_faults(filters: list[str], seed: int, snapshots: int, folder: Path) -> None:
+def planted_faults(seed: int, folder: Path) -> None:
     """Print every fault, and how many are found."""
     rows = []
-    print("| filter | fault | found | event | blocks | first finding |\n|---|---|---|---|---|---|")
-    for name in filters:
+    print_head("filter", "fault", "found", "event", "blocks", "first finding")
+    for name in FILTERS:
         module = import_module(f"examples.audit.{name}")
         for key, fault in module.FAULTS.items():
             path = folder / f"{name}-{key}"
-            planted = module.record(path, seed, key, snapshots)
+            planted = module.record(path, seed, key, 1)
             judged = judge(path, planted, fault)
             rows.append(judged)
-            marks = " | ".join("yes" if one else "**no**" for one in judged[:3])
+            marks = ("yes" if one else "**no**" for one in judged[:3])
             said = "sound" if judged.first is None else judged.first.text
-            where = f"event {planted.event}"
-            print(f"| {name} | {planted.what}, {where} | {marks} | {said} |", flush=True)
+            print_row(name, f"{planted.what}, event {planted.event}", *marks, said)
     found, event, blocks = (sum(marks) for marks in zip(*(row[:3] for row in rows), strict=True))
     both = sum(row.event and row.blocks for row in rows)
     print(f"\n{found} of {len(rows)} found; right: event {event}, blocks {blocks}, both {both}")
 
 
-def sound(filters: list[str], runs: int, folder: Path) -> None:
+def sound(filters: Sequence[str], runs: int, folder: Path) -> None:
     """Print how many sound traces are flagged."""
     flagged = 0
     for name in filters:
-        module = import_module(f"examples.audit.{name}")
         for seed in range(FIRST_SOUND, FIRST_SOUND + runs):
             path = folder / f"{name}-{seed}"
-            module.record(path, seed)
+            import_module(f"examples.audit.{name}").record(path, seed)
             result = audit(path)
             if not result.sound:
                 flagged += 1
                 print(f"{name}, seed {seed}: {result.findings[0].text}", flush=True)
             path.unlink()
-    total = runs * len(filters)
-    low, high = interval(flagged, total)
-    print(f"{flagged} of {total} sound traces flagged, {100 * low:.1f} to {100 * high:.1f} %")
+    print(share(flagged, runs * len(filters), "sound traces flagged"))
 
 
 def main() -> None:
     """Print both."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=2000, help="of the traces with faults")
-    parser.add_argument("--sound", type=int, default=50, help="sound traces of each filter")
-    parser.add_argument("--filters", nargs="+", choices=FILTERS + MORE, default=list(FILTERS))
-    parser.add_argument("--snapshots", type=int, default=1, help="steps by snapshot, with faults")
-    options = parser.parse_args()
+    given = options(__doc__, seed=2000, sound=50)
     with tempfile.TemporaryDirectory() as folder:
-        planted_faults(options.filters, options.seed, options.snapshots, Path(folder))
-        sound(options.filters, options.sound, Path(folder))
+        planted_faults(given.seed, Path(folder))
+        sound(FILTERS, given.sound, Path(folder))
 
 
 if __name__ == "__main__":

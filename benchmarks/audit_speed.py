@@ -1,25 +1,16 @@
 """What recording costs a filter, and how fast its trace is read and audited.
 
-python benchmarks/audit_speed.py [--events 100000] [--rounds 5] [--keep PATH] [--audit]
+    python -m benchmarks.audit_speed [--events 100000] [--rounds 5]
 
 A linear filter of 15 states (five blocks of three, full matrices, positions every tenth step, a
 reset after each, a snapshot every hundredth step) goes over the same data with and without a
 recorder, in turns. Its errors are drawn, so that it is sound. Times are of the processor, but for
-commits, which wait for the disk or do not. --keep leaves the last trace; --audit audits it in a
-process of its own.
+commits, which wait for the disk or do not.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import resource
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -27,13 +18,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.script import options
+from benchmarks.timing import timed
 from comparisons.audit.audit import audit
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 
 Array = NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parents[1]
 STEPS_A_FIX, STEPS_A_SNAPSHOT = 10, 100
 BLOCKS = dict.fromkeys(("position", "velocity", "attitude", "drift", "scale"), 3)
 SIZE = sum(BLOCKS.values())
@@ -90,58 +82,23 @@ def commit_s(path: Path, *, synced: bool) -> float:
     return spent
 
 
-def spent_s(steps: int, path: Path | None = None) -> float:
-    """Return processor seconds of a run."""
-    if path:
-        path.unlink(missing_ok=True)
-    begin = time.process_time()
-    run(steps, path)
-    return time.process_time() - begin
-
-
-def read(path: Path) -> float:
-    """Return processor seconds of reading a trace."""
-    begin = time.process_time()
-    for _ in Trace(path):
-        pass
-    return time.process_time() - begin
-
-
-def audited(path: Path) -> None:
-    """Audit a trace and print how fast, and with how much memory at its peak."""
-    begin = time.process_time()
-    found = audit(path)
-    took_s = time.process_time() - begin
-    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    events = found.events
-    verdict = "sound" if found.sound else "faulty"
-    print(
-        f"audit: {events / took_s:,.0f} events a second, {1e6 * took_s / events:.1f} us an "
-        f"event, peak {peak_mib:,.0f} MiB, {verdict}"
-    )
+def read(path: Path) -> int:
+    """Go through a trace; return the number of its events."""
+    return sum(1 for _ in Trace(path))
 
 
 def main() -> None:
-    """Run both ways in turns."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--events", type=int, default=100_000)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--keep", type=Path)
-    parser.add_argument("--audit", action="store_true")
-    parser.add_argument("--audit-only", type=Path, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.audit_only:
-        audited(given.audit_only)
-        return
-    if given.keep and given.keep.exists():
-        parser.error(f"{given.keep}: exists already")
+    """Run both ways in turns, then read and audit what was recorded last."""
+    given = options(__doc__, events=100_000, rounds=5)
     more = 2.0 / STEPS_A_FIX + 1.0 / STEPS_A_SNAPSHOT
     steps = max(STEPS_A_SNAPSHOT, round(given.events / (1.0 + more)))
     with tempfile.TemporaryDirectory() as folder:
-        path = given.keep or Path(folder) / "filter.trace"
-        turns = [(spent_s(steps), spent_s(steps, path)) for _ in range(given.rounds)]
+        path, other = Path(folder) / "filter.trace", Path(folder) / "commit.trace"
+        turns = []
+        for _ in range(given.rounds):
+            path.unlink(missing_ok=True)
+            turns.append((timed(run, steps)[1], timed(run, steps, path)[1]))
         events = Trace(path).counts.events
-        other = Path(folder) / "commit.trace"
         waited, unsynced = (
             1e6 / COMMIT_EVENTS * min(commit_s(other, synced=one) for _ in range(given.rounds))
             for one in (True, False)
@@ -152,11 +109,10 @@ def main() -> None:
         print(f"recorder: {cost_us:.2f} us an event")
         print(f"commits: {waited:.2f} us an event by the clock, {unsynced:.2f} without the disk")
         print(f"file: {path.stat().st_size / events:,.0f} bytes an event")
-        print(f"read: {1e6 * read(path) / events:.1f} us an event")
-        sys.stdout.flush()
-        if given.audit:
-            words = (sys.executable, __file__, "--audit-only", path)
-            subprocess.run(words, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        print(f"read: {1e6 * timed(read, path)[1] / events:.1f} us an event")
+        found, audit_s = timed(audit, path)
+        verdict = "sound" if found.sound else "faulty"
+        print(f"audit: {1e6 * audit_s / events:.1f} us an event, {verdict}")
 
 
 if __name__ == "__main__":

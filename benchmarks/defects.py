@@ -1,29 +1,24 @@
 """Which planted defects are caught and named, and how often a sound filter is flagged.
 
-    python -m benchmarks.defects [--seed 4] [--seeds 200] [--noise-scale 1] [--only WORD]
-                                 [--table]
+    python -m benchmarks.defects [--only WORD] [--seeds 200] [--loop-s 85]
 
-Every fault of comparisons.faults that has a name runs on a log that shows it; `named` says whether
-the first cause is the right one. Then the sound filter drives simulated loops, one per seed, with
-so much of the document's noise, true and stated; a verdict of `disagree` is a false alarm, and each
-band's share outside stands beside what is expected. The interval is Clopper and Pearson's, 95 %.
---table prints the faults as Markdown.
+Every fault of comparisons.faults whose name holds the word runs on a log that shows it. Then the
+sound filter drives simulated loops of so many seconds, one per seed; a verdict of `disagree` is a
+false alarm, and each band's share outside stands beside what is expected. The interval is Clopper
+and Pearson's, 95 %.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from benchmarks.coverage import figures_of
-from benchmarks.fault_logs import open_case
+from benchmarks.drives import open_case
+from benchmarks.script import options, print_head, print_row
 from comparisons.checks.model import FITTED
 from comparisons.checks.verdict import Verdict
 from comparisons.config import RunConfig
@@ -122,7 +117,7 @@ LOG = {
     "lever arm left out": "positions",
     "landmark initialised again": "closing",
 }
-"""Which log of `fault_logs` shows a fault, where it is not the loop."""
+"""Which log of `drives` shows a fault, where it is not the loop."""
 
 
 def shows(fault: Fault) -> str:
@@ -149,11 +144,10 @@ def named_first(fault: Fault, verdict: Verdict | ExternalCheck) -> bool:
     return first.gap == gap and all(word in text for word in words)
 
 
-def interval(count: int, total: int) -> tuple[float, float]:
-    """Clopper and Pearson's 95 % of a share."""
-    low = float(beta.ppf(0.025, count, total - count + 1)) if count else 0.0
-    high = float(beta.ppf(0.975, count + 1, total - count)) if count < total else 1.0
-    return low, high
+def share(count: int, total: int, what: str = "flagged") -> str:
+    """A count of something, and the interval of its share."""
+    low, high = binomtest(count, total).proportion_ci()
+    return f"{count} of {total} {what}, {100.0 * low:.1f} to {100.0 * high:.1f} %"
 
 
 def short(evidence: str, hint: str) -> str:
@@ -164,68 +158,53 @@ def short(evidence: str, hint: str) -> str:
     return parts[1] if len(parts) > 1 and "rounding allows" in parts[0] else parts[0]
 
 
-def defects(seed: int, only: str, *, table: bool) -> None:
-    """Print those whose name holds a word."""
-    caught = named = 0
-    if table:
-        print("| defect | shows in | what the report says |\n|---|---|---|")
-    else:
-        print(f"{'defect':<42} {'verdict':<9} {'first':<8} named  evidence")
-    chosen = [defect for defect in NAMED if only in defect.name]
+def defects(chosen: Sequence[Fault]) -> None:
+    """Print what the report says of each, and which have another first cause."""
+    print_head("defect", "shows in", "what the report says")
+    caught, other = 0, list[str]()
     for defect in chosen:
-        verdict = run_defect(defect, seed).verdict
-        reported = named_first(defect, verdict)
-        caught, named = caught + (verdict.outcome != "agree"), named + reported
-        gap = verdict.causes[0].gap if verdict.causes else "none"
-        said = short(verdict.causes[0].evidence, verdict.causes[0].hint) if verdict.causes else ""
-        if table:
-            print(f"| {defect.name}: {defect.what} | {gap} | {said} |")
-        else:
-            print(
-                f"{defect.name:<42} {verdict.outcome:<9} {gap:<8} {'yes' if reported else 'NO':<6} "
-                f"{said}",
-                flush=True,
-            )
-    print(f"{caught} of {len(chosen)} caught, {named} with the right first cause")
+        verdict = run_defect(defect).verdict
+        caught += verdict.outcome != "agree"
+        other += [] if named_first(defect, verdict) else [defect.name]
+        first = next(iter(verdict.causes), None)
+        said = ("none", "") if first is None else (first.gap, short(first.evidence, first.hint))
+        print_row(f"{defect.name}: {defect.what}", *said)
+    right = len(chosen) - len(other)
+    print(
+        f"{caught} of {len(chosen)} caught, {right} with the right first cause"
+        + (f"; not: {', '.join(other)}" if other else "")
+    )
 
 
-def false_alarms(seeds: int, noise_scale: float, loop_s: float) -> None:
+def false_alarms(seeds: int, loop_s: float) -> None:
     """Print how often the sound filter is flagged, by the verdict and by each band."""
-    drive = Drive(noise_scale=noise_scale, loop_s=loop_s)
+    drive = Drive(loop_s=loop_s)
     outcomes, blamed, outside = Counter[str](), Counter[str](), Counter[str]()
     for seed in range(seeds):
         c = compare(simulate(np.random.default_rng(seed), drive))
         outcomes[c.verdict.outcome] += 1
         blamed.update(cause.gap for cause in c.verdict.causes)
-        figures = figures_of(c)
-        outside.update(dict.fromkeys((name for name, one in figures.items() if one.band), 0))
-        outside.update(name for name, one in figures.items() if one.band and not one.value)
-    low, high = interval(outcomes["disagree"], seeds)
+        bands = {name: one for name, one in figures_of(c).items() if one.band}
+        outside.update({name: not one.value for name, one in bands.items()})
     print(
-        f"sound filter, true and stated noise {noise_scale:g} times the document's, {loop_s:g} s: "
-        f"{outcomes['disagree']} of {seeds} flagged, {100.0 * low:.1f} to {100.0 * high:.1f} %"
+        f"sound filter, true and stated noise {drive.noise_scale:g} times the document's, "
+        f"{loop_s:g} s: {share(outcomes['disagree'], seeds)}"
         + (f"; {outcomes['unverified']} unverified" if outcomes["unverified"] else "")
         + "".join(f"; {gap} {count}" for gap, count in blamed.items())
     )
-    expected = {name: seeds * (1.0 - one.nominal) for name, one in figures.items() if one.band}
     print("outside the band of, with what is expected of a filter that is exact:")
     for name, count in outside.items():
-        print(f"  {name:<60} {count:>4} of {seeds}, {expected[name]:.1f}")
+        expected = seeds * (1.0 - bands[name].nominal)
+        print(f"  {name:<60} {count:>4} of {seeds}, {expected:.1f}")
 
 
 def main() -> None:
     """Print both."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=4, help="of the defects' logs")
-    parser.add_argument("--seeds", type=int, default=200, help="of the sound filter's drives")
-    parser.add_argument("--noise-scale", type=float, default=1.0)
-    parser.add_argument("--loop-s", type=float, default=85.0)
-    parser.add_argument("--only", default="", help="defects whose name holds this")
-    parser.add_argument("--table", action="store_true")
-    options = parser.parse_args()
-    defects(options.seed, options.only, table=options.table)
-    if options.seeds:
-        false_alarms(options.seeds, options.noise_scale, options.loop_s)
+    given = options(__doc__, only="", seeds=200, loop_s=85.0)
+    if chosen := [one for one in NAMED if given.only in one.name]:
+        defects(chosen)
+    if given.seeds:
+        false_alarms(given.seeds, given.loop_s)
 
 
 if __name__ == "__main__":

@@ -1,32 +1,29 @@
 """What each of the documents' settings of dense maps does to the occupancy layer.
 
-    python benchmarks/dense_maps.py [--among N] [--seeds N] [--rules NAME ...]
-    python benchmarks/dense_maps.py --correlation [--among N] [--seeds N]
-    python benchmarks/dense_maps.py --particles [--seeds N]
+    python -m benchmarks.dense_maps [--among 80] [--seeds N] [--rules NAME ...]
+    python -m benchmarks.dense_maps --correlation [--among 80] [--seeds 1]
+    python -m benchmarks.dense_maps --particles [--seeds 1]
 
 The documents' settings beside those that runs use, and each of them alone, on simulated drives of
-one loop (Nieto 2005, sections 3.9 and 4.1.3) with N more landmarks among and behind the objects,
-80 if left out. --correlation: what regions cover, and how far the closing of the loop deforms them
-(Fig. 3.9), by the least correlation of their landmarks alone, as section 3.5 has it. --particles:
-weights of particles (Fig. 4.10), and how far they and Gaussians are from the surfaces over raw
-returns (Fig. 4.12), without and with those dropped that have come to lie on others.
+one loop (Nieto 2005, sections 3.9 and 4.1.3) with more landmarks among and behind the objects; six
+and eight drives if left out. --rules: some of the rows. --correlation: what regions cover, and how
+far the closing of the loop deforms them (Fig. 3.9), by the least correlation of their landmarks
+alone, as section 3.5 has it. --particles: weights of particles (Fig. 4.10), and how far they and
+Gaussians are from the surfaces over raw returns (Fig. 4.12), without and with those dropped that
+have come to lie on others.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.script import options, present
 from comparisons.checks.accuracy import match_by_distance, rigid_motion
 from comparisons.config import MapConfig
 from comparisons.documented.row import Preset
@@ -61,8 +58,11 @@ PARTICLES: Mapping[str, tuple[Preset, Mapping[str, Any]]] = {
 _ROUNDS = (1, 10)
 
 
-def errors_by_rule(seeds: int | None, among: int, rules: Sequence[str] | None = None) -> None:
-    """What each of the documents' settings does to the occupancy layer, after the first loop."""
+def errors_by_rule(seeds: int | None, among: int, rules: Sequence[str]) -> None:
+    """What each of the documents' settings does to the occupancy layer, after the first loop.
+
+    rules: titles of the rows, all where there is none.
+    """
     print("means over drives of one loop; distances of occupied cells to the surfaces [m], median")
     print("/ 95 %; aligned: after the landmarks' motion onto the true ones; regions: when made")
     for experiment, table in FIRST_LOOPS.items():
@@ -78,12 +78,8 @@ def errors_by_rule(seeds: int | None, among: int, rules: Sequence[str] | None = 
         ):
             if rules and title not in rules:
                 continue
-            config = MapConfig.of(
-                preset=preset,
-                log={"source": name},
-                extensions={"dense_maps": {"layers": ("occupancy",), **fields}},
-            )
-            print(f"{title:30} {rule_row([map_log(log, config) for log in logs])}", flush=True)
+            each = mapped(logs, preset, ("occupancy",), fields)
+            print(f"{title:30} {rule_row(each)}", flush=True)
 
 
 RULE_COLUMNS = (
@@ -118,12 +114,7 @@ def by_correlation(seeds: int, among: int) -> None:
     print("update that moved the regions the most [m], median / 95 %; surfaces: median [m]")
     print("correlation  regions  covered  deformed       surfaces")
     for least in CORRELATIONS:
-        config = MapConfig.of(
-            preset="nieto-2005",
-            log={"source": "scan-loop"},
-            extensions={"dense_maps": {"layers": ("points",), "least_correlation": least}},
-        )
-        each = [map_log(log, config) for log in logs]
+        each = mapped(logs, "nieto-2005", ("points",), {"least_correlation": least})
         tallies = [one.dense.dense.tally for one in each]
         covered = sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies)
         regions = sum(len(one.placed.triangle) for one in each)
@@ -145,12 +136,7 @@ def by_particles(seeds: int) -> None:
         )
         print(f"{'':22} particles  > 0.8  < 0.5  off  Gaussians   off")
         for title, (preset, fields) in PARTICLES.items():
-            config = MapConfig.of(
-                preset=preset,
-                log={"source": experiment.name},
-                extensions={"dense_maps": {"layers": ("points", "particles", "sog"), **fields}},
-            )
-            each = [map_log(log, config) for log in logs]
+            each = mapped(logs, preset, ("points", "particles", "sog"), fields)
             weight = np.concatenate([one.layers["particles"].occupancy for one in each])
             shares = f"{(weight > OCCUPIED).mean():6.1%} {(weight < 0.5).mean():6.1%}"
             off = {
@@ -170,6 +156,18 @@ def log_among(experiment: ScanExperiment, more: int, seed: int) -> Log:
     """A drive with so many more landmarks among and behind the objects."""
     world = with_landmarks_among(experiment.world, more)
     return simulate(np.random.default_rng(seed), replace(experiment, world=world))
+
+
+def mapped(
+    logs: Sequence[Log], preset: str, layers: Sequence[str], fields: Mapping[str, Any]
+) -> list[DenseMapping]:
+    """Map drives of one experiment by a preset's settings but for some."""
+    config = MapConfig.of(
+        preset=preset,
+        log={"source": logs[0].name},
+        extensions={"dense_maps": {"layers": layers, **fields}},
+    )
+    return [map_log(log, config) for log in logs]
 
 
 def deformation(one: DenseMapping) -> Array:
@@ -202,37 +200,24 @@ def distances(one: DenseMapping, name: str) -> tuple[Array, Array]:
     """(N,) of occupied samples to the surfaces: as they are, and landmarks on the true ones."""
     samples = one.classic if name == "classic" else one.layers[name]
     point = samples.point[samples.occupancy > OCCUPIED]
-    truth = one.log.truth
-    assert truth.surfaces is not None
-    assert truth.landmarks is not None
-    segment, true = truth.surfaces.segment, truth.landmarks.position_m
-    move = motion_onto(one.dense.landmark, true)
-    return distance_to_segments(point, segment), distance_to_segments(move(point), segment)
-
-
-def motion_onto(landmark: Array, true: Array) -> Callable[[Array], Array]:
-    """The rigid motion that takes landmarks (L, 2) onto the true ones they belong to."""
+    landmark, true = one.dense.landmark, present(one.log.truth.landmarks).position_m
+    segment = present(one.log.truth.surfaces).segment
     ours, theirs = match_by_distance(landmark, true)
-    return rigid_motion(landmark[ours], true[theirs])
+    move = rigid_motion(landmark[ours], true[theirs])
+    return distance_to_segments(point, segment), distance_to_segments(move(point), segment)
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seeds", type=int, help="drives of each log; 6 and 8 if left out")
-    parser.add_argument("--rules", nargs="+", help="rows; all if left out")
-    parser.add_argument("--correlation", action="store_true", help="coverage and deformation")
-    parser.add_argument(
-        "--among", type=int, default=MORE_LANDMARKS, help="landmarks more, 80 if left out"
+    asked = options(
+        __doc__, seeds=int, among=MORE_LANDMARKS, rules=(), correlation=False, particles=False
     )
-    parser.add_argument("--particles", action="store_true", help="weights of particles")
-    choices = parser.parse_args()
-    if choices.particles:
-        by_particles(choices.seeds or 1)
-    elif choices.correlation:
-        by_correlation(choices.seeds or 1, choices.among)
+    if asked.particles:
+        by_particles(asked.seeds or 1)
+    elif asked.correlation:
+        by_correlation(asked.seeds or 1, asked.among)
     else:
-        errors_by_rule(choices.seeds, choices.among, choices.rules)
+        errors_by_rule(asked.seeds, asked.among, asked.rules)
 
 
 if __name__ == "__main__":

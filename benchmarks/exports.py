@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.script import present
 from comparisons.arrays import Array
 from comparisons.checks.grade import joint_rows
 from comparisons.estimates.estimate import landmark_blocks
@@ -15,21 +17,9 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families
 from comparisons.faults.fault import Fault, Feed
 from comparisons.logs.log import LandmarkMeasurements, Log
+from graphslam.scan import planar
 
 Export = Callable[[ExternalEstimate], ExternalEstimate]
-
-
-def _held(given: ExternalEstimate) -> tuple[Array, Array]:
-    """The covariances of an estimate that has them all."""
-    if given.pose_covariance is None or given.joint_covariance is None:
-        raise ValueError("the estimate has no covariances")
-    return given.pose_covariance, given.joint_covariance
-
-
-def _map(given: ExternalEstimate) -> Array:
-    if given.landmark is None:
-        raise ValueError("the estimate has no map")
-    return given.landmark
 
 
 def with_joint(given: ExternalEstimate, joint: Array) -> ExternalEstimate:
@@ -37,24 +27,31 @@ def with_joint(given: ExternalEstimate, joint: Array) -> ExternalEstimate:
     return replace(given, joint_covariance=joint, landmark_covariance=landmark_blocks(joint))
 
 
-def scaled(factor: float) -> Export:
-    """All covariances times a factor."""
+def with_landmarks(given: ExternalEstimate, chosen: NDArray[np.intp]) -> ExternalEstimate:
+    """The same with some of the landmarks, in another order."""
+    rows, joint = joint_rows(chosen), present(given.joint_covariance)
+    ids, places = present(given.landmark_id)[chosen], present(given.landmark)[chosen]
+    return with_joint(replace(given, landmark_id=ids, landmark=places), joint[np.ix_(rows, rows)])
 
-    def change(given: ExternalEstimate) -> ExternalEstimate:
-        poses, joint = _held(given)
-        return replace(with_joint(given, factor * joint), pose_covariance=factor * poses)
 
-    return change
+def with_poses(given: ExternalEstimate, chosen: NDArray[np.intp]) -> ExternalEstimate:
+    """The same with some of the poses."""
+    return replace(
+        given,
+        time_s=given.time_s[chosen],
+        pose=given.pose[chosen],
+        pose_covariance=present(given.pose_covariance)[chosen],
+    )
 
 
 def of_poses(change: Callable[[Array], Array]) -> Export:
     """Other covariances of the poses (K, 3, 3), those of the map left alone."""
-    return lambda given: replace(given, pose_covariance=change(_held(given)[0]))
+    return lambda given: replace(given, pose_covariance=change(present(given.pose_covariance)))
 
 
 def of_joint(change: Callable[[Array], Array]) -> Export:
     """Another covariance (n, n) of last pose and map."""
-    return lambda given: with_joint(given, change(_held(given)[1].copy()))
+    return lambda given: with_joint(given, change(present(given.joint_covariance).copy()))
 
 
 def of_path(change: Callable[[Array], Array]) -> Export:
@@ -64,20 +61,18 @@ def of_path(change: Callable[[Array], Array]) -> Export:
 
 def of_map(change: Callable[[Array], Array]) -> Export:
     """Other landmarks (L, 2)."""
-    return lambda given: replace(given, landmark=change(_map(given).copy()))
+    return lambda given: replace(given, landmark=change(present(given.landmark).copy()))
 
 
-def cut(rows: Callable[[int], slice]) -> Export:
-    """Some of the poses only."""
+def cut(part: Callable[[int], slice]) -> Export:
+    """Some of the poses only, by their number."""
+    return lambda given: with_poses(given, np.arange(len(given.time_s))[part(len(given.time_s))])
 
-    def change(given: ExternalEstimate) -> ExternalEstimate:
-        part = rows(len(given.time_s))
-        poses = _held(given)[0][part]
-        return replace(
-            given, time_s=given.time_s[part], pose=given.pose[part], pose_covariance=poses
-        )
 
-    return change
+def scaled(factor: float) -> Export:
+    """All covariances times a factor."""
+    poses, joint = of_poses(lambda p: factor * p), of_joint(lambda p: factor * p)
+    return lambda given: poses(joint(given))
 
 
 def late(delay_s: float) -> Export:
@@ -85,63 +80,23 @@ def late(delay_s: float) -> Export:
     return lambda given: replace(given, time_s=given.time_s + delay_s)
 
 
-def turned(angle: float, shift_m: float) -> Export:
-    """Path and map in another frame."""
+def about_start(change: Callable[[Array], Array], turn: float = 0.0) -> Export:
+    """Other places (N, 2) of path and map, as seen from the start, and headings turned."""
 
-    def change(given: ExternalEstimate) -> ExternalEstimate:
-        cos, sin = np.cos(angle), np.sin(angle)
-        rotation = np.array(((cos, sin), (-sin, cos)))
+    def export(given: ExternalEstimate) -> ExternalEstimate:
         start = given.pose[0, :2]
-        place = (given.pose[:, :2] - start) @ rotation + start + shift_m
-        landmark = (_map(given) - start) @ rotation + start + shift_m
-        pose = np.column_stack((place, given.pose[:, 2] + angle))
+        place = start + change(given.pose[:, :2] - start)
+        landmark = start + change(present(given.landmark) - start)
+        pose = np.column_stack((place, given.pose[:, 2] + turn))
         return replace(given, pose=pose, landmark=landmark)
 
-    return change
-
-
-def grown(factor: float) -> Export:
-    """Path and map too large, about the start."""
-
-    def change(given: ExternalEstimate) -> ExternalEstimate:
-        start = given.pose[0, :2]
-        pose, landmark = given.pose.copy(), _map(given)
-        pose[:, :2] = start + factor * (pose[:, :2] - start)
-        return replace(given, pose=pose, landmark=start + factor * (landmark - start))
-
-    return change
+    return export
 
 
 def body_frame(given: ExternalEstimate) -> ExternalEstimate:
     """Pose covariances in the body's frame, as gtsam's marginals are."""
-    poses = _held(given)[0]
-    turn = np.tile(np.eye(3), (len(poses), 1, 1))
-    cos, sin = np.cos(given.pose[:, 2]), np.sin(given.pose[:, 2])
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = cos, -sin, sin, cos
-    return replace(given, pose_covariance=turn.transpose(0, 2, 1) @ poses @ turn)
-
-
-def fewer_landmarks(given: ExternalEstimate) -> ExternalEstimate:
-    """The last third of the map is missing."""
-    count = 2 * len(_map(given)) // 3
-    rows = joint_rows(np.arange(count))
-    if given.landmark_id is None:
-        raise ValueError("the estimate has no map")
-    return with_joint(
-        replace(given, landmark_id=given.landmark_id[:count], landmark=_map(given)[:count]),
-        _held(given)[1][np.ix_(rows, rows)],
-    )
-
-
-def _all_but_last(poses: Array, factor: float) -> Array:
-    found = factor * poses
-    found[-1] = poses[-1]
-    return found
-
-
-def _permuted(poses: Array, order: list[int]) -> Array:
-    found: Array = poses[:, order][:, :, order]
-    return found
+    turn = np.array([planar.rotation(heading) for heading in given.pose[:, 2]])
+    return of_poses(lambda p: turn.transpose(0, 2, 1) @ p @ turn)(given)
 
 
 def _deviations(poses: Array) -> Array:
@@ -149,22 +104,17 @@ def _deviations(poses: Array) -> Array:
     return found
 
 
-def _alone(joint: Array, *, pose: bool, landmarks: bool) -> Array:
-    """Without the covariances of the pose with landmarks, of landmarks with each other."""
-    where = np.concatenate(([0, 0, 0], 1 + np.arange(len(joint) - 3) // 2))
-    other = where[:, None] != where
-    vehicle = (where == 0)[:, None] | (where == 0)
-    joint[(other & vehicle & pose) | (other & ~vehicle & landmarks)] = 0.0
-    return joint
-
-
 def _inverse(covariance: Array) -> Array:
     return np.asarray(np.linalg.inv(covariance), dtype=float)
 
 
-def _opposite(joint: Array) -> Array:
-    joint[:3, 3:] *= -1.0
-    joint[3:, :3] *= -1.0
+def _crossed(joint: Array, *, pose: float = 1.0, landmarks: float = 1.0) -> Array:
+    """Times numbers: covariances of the pose with landmarks, of landmarks with each other."""
+    where = np.concatenate(([0, 0, 0], 1 + np.arange(len(joint) - 3) // 2))
+    other = where[:, None] != where
+    vehicle = (where == 0)[:, None] | (where == 0)
+    joint[other & vehicle] *= pose
+    joint[other & ~vehicle] *= landmarks
     return joint
 
 
@@ -191,20 +141,14 @@ def _at_axle(pose: Array) -> Array:
     return pose
 
 
-def _glitch(pose: Array) -> Array:
-    pose[len(pose) // 2, 0] += 0.5
-    return pose
-
-
-def _added(pose: Array, column: int, value: float) -> Array:
-    pose[:, column] += value
-    return pose
-
-
 def _wander(pose: Array) -> Array:
-    rng = np.random.default_rng(0)
-    pose[:, :2] += 0.02 * rng.standard_normal((len(pose), 2))
+    pose[:, :2] += 0.02 * np.random.default_rng(0).standard_normal((len(pose), 2))
     return pose
+
+
+def _added(values: Array, where: Any, amount: Any) -> Array:
+    values[where] += amount
+    return values
 
 
 def _exchanged(landmark: Array) -> Array:
@@ -212,11 +156,7 @@ def _exchanged(landmark: Array) -> Array:
     return landmark
 
 
-def _one_off(landmark: Array) -> Array:
-    landmark[2] += (0.2, 0.0)
-    return landmark
-
-
+_DEGREE = float(np.deg2rad(1.0))
 EXPORTS: dict[str, Export] = {
     "all covariances 3 times": scaled(3.0),
     "all covariances a third": scaled(1.0 / 3.0),
@@ -226,14 +166,22 @@ EXPORTS: dict[str, Export] = {
     "pose covariances 3 times": of_poses(lambda p: 3.0 * p),
     "pose covariances a third": of_poses(lambda p: p / 3.0),
     "pose covariances in the body's frame": body_frame,
-    "pose covariances 10 times, all but the last": of_poses(lambda p: _all_but_last(p, 10.0)),
-    "pose covariances a tenth, all but the last": of_poses(lambda p: _all_but_last(p, 0.1)),
+    "pose covariances 10 times, all but the last": of_poses(
+        lambda p: np.concatenate((10.0 * p[:-1], p[-1:]))
+    ),
+    "pose covariances a tenth, all but the last": of_poses(
+        lambda p: np.concatenate((0.1 * p[:-1], p[-1:]))
+    ),
     "pose covariances without correlations": of_poses(lambda p: p * np.eye(3)),
     "sigmas for variances of poses": of_poses(_deviations),
     "variances of poses squared": of_poses(lambda p: _deviations(p) ** 4),
     "information of poses": of_poses(_inverse),
-    "pose covariances in the order heading, x, y": of_poses(lambda p: _permuted(p, [2, 0, 1])),
-    "pose covariances in the order y, x, heading": of_poses(lambda p: _permuted(p, [1, 0, 2])),
+    "pose covariances in the order heading, x, y": of_poses(
+        lambda p: p[:, [2, 0, 1]][:, :, [2, 0, 1]]
+    ),
+    "pose covariances in the order y, x, heading": of_poses(
+        lambda p: p[:, [1, 0, 2]][:, :, [1, 0, 2]]
+    ),
     "heading's covariance in degrees": of_poses(
         lambda p: p * np.outer((1.0, 1.0, 57.2958), (1.0, 1.0, 57.2958))
     ),
@@ -251,67 +199,60 @@ EXPORTS: dict[str, Export] = {
     "landmark covariances 3 times": of_joint(
         lambda p: p * np.outer(*[np.where(np.arange(len(p)) < 3, 1.0, 3.0**0.5)] * 2)
     ),
-    "covariances of pose and map dropped": of_joint(
-        lambda p: _alone(p, pose=True, landmarks=False)
-    ),
-    "covariances between landmarks dropped": of_joint(
-        lambda p: _alone(p, pose=False, landmarks=True)
-    ),
-    "all cross-covariances dropped": of_joint(lambda p: _alone(p, pose=True, landmarks=True)),
-    "covariances of pose and map negated": of_joint(_opposite),
+    "covariances of pose and map dropped": of_joint(lambda p: _crossed(p, pose=0.0)),
+    "covariances between landmarks dropped": of_joint(lambda p: _crossed(p, landmarks=0.0)),
+    "all cross-covariances dropped": of_joint(lambda p: _crossed(p, pose=0.0, landmarks=0.0)),
+    "covariances of pose and map negated": of_joint(lambda p: _crossed(p, pose=-1.0)),
     "landmark covariances in another order": of_joint(_reordered),
     "sigmas for variances of the map": of_joint(lambda p: np.diag(np.sqrt(np.diag(p)))),
     "information of the map": of_joint(_inverse),
     "correlations for covariances": of_joint(
         lambda p: p / np.sqrt(np.outer(np.diag(p), np.diag(p)))
     ),
-    "frame shifted by 0.1 m": turned(0.0, 0.1),
-    "frame turned by 0.5 degrees": turned(np.deg2rad(0.5), 0.0),
-    "headings off by 1 degree": of_path(lambda p: _added(p, 2, np.deg2rad(1.0))),
+    "frame shifted by 0.1 m": about_start(lambda p: p + 0.1),
+    "frame turned by 0.5 degrees": about_start(
+        lambda p: planar.moved(np.array((0.0, 0.0, 0.5 * _DEGREE)), p), 0.5 * _DEGREE
+    ),
+    "headings off by 1 degree": of_path(lambda p: _added(p, np.s_[:, 2], _DEGREE)),
     "headings clockwise": of_path(lambda p: p * (1.0, 1.0, -1.0)),
     "headings from the course": of_path(_course),
     "x and y exchanged": of_path(lambda p: p[:, [1, 0, 2]]),
     "mirrored path": of_path(lambda p: p * (1.0, -1.0, -1.0)),
     "stamps one sample late": late(0.025),
     "stamps one scan late": late(0.2),
-    "path 0.5 % too large": grown(1.005),
-    "path 0.1 % too large": grown(1.001),
+    "path 0.5 % too large": about_start(lambda p: 1.005 * p),
+    "path 0.1 % too large": about_start(lambda p: 1.001 * p),
     "path of another point": of_path(_at_axle),
     "path averaged over five poses": of_path(_averaged),
     "path rounded to 0.1 m": of_path(lambda p: np.round(p, 1)),
     "path in half precision": of_path(lambda p: p.astype(np.float16).astype(float)),
-    "one pose off by 0.5 m": of_path(_glitch),
+    "one pose off by 0.5 m": of_path(lambda p: _added(p, (len(p) // 2, 0), 0.5)),
     "2 cm of noise on the path": of_path(_wander),
     "path cut at 60 %": cut(lambda n: slice(0, 6 * n // 10)),
     "path starts at 40 %": cut(lambda n: slice(4 * n // 10, n)),
     "two landmarks exchanged": of_map(_exchanged),
     "landmarks' ids off by one": of_map(lambda m: np.roll(m, 1, axis=0)),
-    "one landmark off by 0.2 m": of_map(_one_off),
+    "one landmark off by 0.2 m": of_map(lambda m: _added(m, (2, 0), 0.2)),
     "map shifted by 0.1 m": of_map(lambda m: m + 0.1),
-    "a third of the map missing": fewer_landmarks,
+    "a third of the map missing": lambda given: with_landmarks(
+        given, np.arange(2 * len(present(given.landmark)) // 3)
+    ),
 }
 """What exports do to a sound filter's estimate."""
 
 
-def named(words: str) -> Feed:
-    """A fault of the catalogue, by how its words begin."""
-    return lambda log: _feed(next(one for one in catalogue(log) if one.what.startswith(words)), log)
-
-
-def times(words: str, number: float) -> Feed:
-    """A fault with a number, by how its words begin."""
+def planted(words: str, number: float | None = None) -> Feed:
+    """A fault of the catalogue by how its words begin, or one of those with a number."""
 
     def feed(log: Log) -> Log:
-        family = next(one for one in families(log) if one.what.startswith(words))
-        return _feed(family.member(number), log)
+        if number is None:
+            fault: Fault = next(one for one in catalogue(log) if one.what.startswith(words))
+        else:
+            family = next(one for one in families(log) if one.what.startswith(words))
+            fault = family.member(number)
+        return present(fault.feed)(log)
 
     return feed
-
-
-def _feed(fault: Fault, log: Log) -> Log:
-    if fault.feed is None:
-        raise ValueError(f"{fault.what}: is not of the log")
-    return fault.feed(log)
 
 
 def kept(rows: Callable[[LandmarkMeasurements], NDArray[np.bool_]]) -> Feed:
@@ -320,25 +261,27 @@ def kept(rows: Callable[[LandmarkMeasurements], NDArray[np.bool_]]) -> Feed:
 
 
 FEEDS: dict[str, Feed] = {
-    "R 3 times": times("R is", 3.0),
-    "R a third": times("R is", 1.0 / 3.0),
-    "the range's sigma doubled": times("R of the range is", 4.0),
-    "Q 3 times": times("the controls' part of Q is", 3.0),
-    "Q a third": times("the controls' part of Q is", 1.0 / 3.0),
-    "every second measurement left out": named("every second measurement is left out, the second"),
+    "R 3 times": planted("R is", 3.0),
+    "R a third": planted("R is", 1.0 / 3.0),
+    "the range's sigma doubled": planted("R of the range is", 4.0),
+    "Q 3 times": planted("the controls' part of Q is", 3.0),
+    "Q a third": planted("the controls' part of Q is", 1.0 / 3.0),
+    "every second measurement left out": planted(
+        "every second measurement is left out, the second"
+    ),
     "one landmark ignored": kept(lambda seen: seen.landmark != seen.landmark.min()),
     "measurements of the last 5 s left out": kept(lambda seen: seen.time_s < seen.time_s[-1] - 5.0),
     "measurements beyond 15 m left out": kept(lambda seen: seen.range_m < 15.0),
-    "range 1 % too long": times("the ranges are", 1.01),
-    "range 5 cm too long": times("the ranges have a bias", 0.05),
-    "bearing off by 0.5 degrees": times("the bearings have a bias", float(np.deg2rad(0.5))),
-    "speed 1 % too high": times("the speed is", 1.01),
-    "turn 2 % too strong": times("the turn is", 1.02),
-    "turn off by 0.2 degrees": times("the turn has a bias", float(np.deg2rad(0.2))),
-    "odometry two samples late": named("the odometry is used 2 samples late, the first twice"),
-    "prior's covariance 100 times": times("the prior's covariance is", 100.0),
+    "range 1 % too long": planted("the ranges are", 1.01),
+    "range 5 cm too long": planted("the ranges have a bias", 0.05),
+    "bearing off by 0.5 degrees": planted("the bearings have a bias", 0.5 * _DEGREE),
+    "speed 1 % too high": planted("the speed is", 1.01),
+    "turn 2 % too strong": planted("the turn is", 1.02),
+    "turn off by 0.2 degrees": planted("the turn has a bias", 0.2 * _DEGREE),
+    "odometry two samples late": planted("the odometry is used 2 samples late, the first twice"),
+    "prior's covariance 100 times": planted("the prior's covariance is", 100.0),
     "prior's heading off by 1 degree": lambda log: replace(
-        log, prior=replace(log.prior, pose=log.prior.pose + (0.0, 0.0, np.deg2rad(1.0)))
+        log, prior=replace(log.prior, pose=log.prior.pose + (0.0, 0.0, _DEGREE))
     ),
 }
 """What a sound filter may be fed in place of the log."""

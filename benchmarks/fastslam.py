@@ -19,14 +19,13 @@ of the energy distance.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import kstest
 
+from benchmarks.script import options, present
 from benchmarks.timing import ROOT, timed
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
@@ -64,10 +63,8 @@ def errors(log: Log, timeline: Timeline, mean: Array, reference: Array | None) -
     """Median distance from the reference, or to the GPS; and the same aligned."""
     if reference is not None:
         return float(np.median(np.linalg.norm((mean - reference)[:, :2], axis=1))), ""
-    found = assess_trajectory(timeline.epoch_time_s, mean, log)
-    assert found is not None
-    assert found.gps_median_m is not None
-    return found.gps_median_m, f"{found.gps_median_aligned_m:.2f}"
+    found = present(assess_trajectory(timeline.epoch_time_s, mean, log))
+    return present(found.gps_median_m), f"{found.gps_median_aligned_m:.2f}"
 
 
 def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | None) -> str:
@@ -139,22 +136,19 @@ def with_wheelbase(log: Log, factor: float) -> Log:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    given = options(
+        __doc__,
+        particles=(10, 30, 100),
+        seeds=1,
+        labelled=False,
+        data=DATA,
+        agreement=False,
+        wheelbase=(1.0,),
     )
-    parser.add_argument("--particles", type=int, nargs="+", default=[10, 30, 100])
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--labelled", action="store_true")
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--agreement", action="store_true")
-    parser.add_argument("--wheelbase", type=float, nargs="+", default=[1.0], metavar="F")
-    given = parser.parse_args()
     if given.agreement:
         for particles in given.particles:
             agreement(particles, given.seeds, given.wheelbase)
         return
-    if not given.labelled and not victoria_park.recognises(given.data):
-        parser.error(f"{given.data} holds no detections of Victoria Park; see --labelled")
     log = open_log("victoria-park") if given.labelled else victoria_park.read(given.data)
     timeline = build_timeline(log)
     reference = ekf_trajectory(log, timeline) if given.labelled else None

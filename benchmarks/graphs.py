@@ -13,14 +13,10 @@ gtsam's descents.
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import hashlib
-import time
+import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +25,8 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
+from benchmarks.script import options, print_head, print_row
+from benchmarks.timing import timed
 from comparisons.arrays import Array
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve
@@ -62,9 +60,7 @@ def measured(path: Path, starts: int) -> Outcome:
     """Solve a graph both ways."""
     graph, given = (gtsam.readG2o if path.suffix == ".g2o" else gtsam.load2D)(str(path))
     count = graph.nrFactors()
-    begin = time.process_time()
-    solution = solve(open_log(str(path)))
-    ours_s = time.process_time() - begin
+    solution, ours_s = timed(solve, open_log(str(path)))
     poses = solution.result.poses
     ours = float(graph.error(values_of(poses)))
     chordal = se_sync_cost(graph, poses)
@@ -72,13 +68,10 @@ def measured(path: Path, starts: int) -> Outcome:
     graph.add(gtsam.PriorFactorPose2(0, given.atPose2(0), sigmas))
     ends, taken_s = [], []
     for start in beginnings(graph, given, starts):
-        begin = time.process_time()
-        try:
-            end = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
-        except RuntimeError:
-            continue
-        ends.append(float(graph.error(end)))
-        taken_s.append(time.process_time() - begin)
+        with suppress(RuntimeError):
+            end, spent_s = timed(gtsam.LevenbergMarquardtOptimizer(graph, start).optimize)
+            ends.append(float(graph.error(end)))
+            taken_s.append(spent_s)
     verdict = "verified" if solution.verified else solution.lacks[0]
     sha = hashlib.sha256(path.read_bytes()).hexdigest()[:8]
     return Outcome(
@@ -163,25 +156,21 @@ def se_sync_cost(graph: gtsam.NonlinearFactorGraph, poses: Array) -> float:
     return float(np.sum(off**2))
 
 
-def main() -> None:
-    """Print the table; exit with 1 where a start of gtsam's ends lower."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of .g2o, .graph and .txt")
-    parser.add_argument("--starts", type=int, default=10, help="of gtsam")
-    given = parser.parse_args()
-    print("| graph (SHA-256) | poses | edges | ours | gtsam's best | SE-Sync | verdict | times |")
-    print("|---|---|---|---|---|---|---|---|")
+def main() -> int:
+    """Print the table; return 1, an exit code, where a start of gtsam's ends lower."""
+    given = options(__doc__, "folder", starts=10)
+    print_head(
+        "graph (SHA-256)", "poses", "edges", "ours", "gtsam's best", "SE-Sync", "verdict", "times"
+    )
     lost = 0
-    for path in sorted(one for one in given.folder.iterdir() if one.suffix in _SUFFIXES):
+    for path in sorted(one for one in Path(given.folder).iterdir() if one.suffix in _SUFFIXES):
         one = measured(path, given.starts)
-        lost += not one.as_good
-        print(
-            f"| {one.name} | {one.poses:,} | {one.edges:,} | {one.ours:.7g} | {one.theirs:.7g} | "
-            f"{one.chordal:.5g} | {one.verdict} | {one.ours_s / one.theirs_s:.1f} |",
-            flush=True,
-        )
-    raise SystemExit(bool(lost))
+        lost |= not one.as_good
+        errors = f"{one.ours:.7g}", f"{one.theirs:.7g}", f"{one.chordal:.5g}"
+        times = f"{one.ours_s / one.theirs_s:.1f}"
+        print_row(one.name, f"{one.poses:,}", f"{one.edges:,}", *errors, one.verdict, times)
+    return int(lost)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -5,12 +5,14 @@ child process is given the changed function in the old one's place, and runs the
 through the changed line, the quickest first. What survives is listed; `mutants.toml` has the
 reasons of those that are known to change nothing, or to be let live.
 
-    python -m benchmarks.mutants --draw 200
+    python -m benchmarks.mutants [--draw 200] [--seed 0] [--only GROUP]
+
+--only tries what is drawn of one group. The exit code is 1 where too many survive, or one without a
+reason.
 """
 
 from __future__ import annotations
 
-import argparse
 import ast
 import contextlib
 import gc
@@ -30,6 +32,8 @@ from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any, NamedTuple
 
+from benchmarks.script import options
+
 ROOT = Path(__file__).resolve().parents[1]
 REASONS = "benchmarks/mutants.toml"
 EQUIVALENT = "equivalent: "
@@ -37,7 +41,8 @@ LEAST_KILLED = 0.95
 QUICK = "not slow and not browser and not nightly"
 SPARE_S = 60.0
 """Of the processor, which a mutant may take beside ten times what its tests take."""
-_MOST_S = 3600.0
+_MOST_S = 3600
+"""By the clock, which ends what waits for ever."""
 
 
 class Group(NamedTuple):
@@ -129,74 +134,42 @@ _CALLED = {
 
 def changes(node: ast.expr | ast.stmt) -> Iterator[ast.AST | str]:
     """Yield what may stand in a node's place, as a node or as text."""
-    for kind, change in _CHANGES.items():
-        if isinstance(node, kind):
-            yield from change(node)
-
-
-def _compared(node: ast.Compare) -> Iterator[ast.AST]:
-    if len(node.ops) == 1:
-        for table in (_COMPARED, _REVERSED):
-            if type(node.ops[0]) in table:
-                yield ast.Compare(node.left, [table[type(node.ops[0])]()], node.comparators)
-
-
-def _computed(node: ast.BinOp) -> Iterator[ast.AST]:
-    if type(node.op) in _COMPUTED and not _is_text(node):
-        yield ast.BinOp(node.left, _COMPUTED[type(node.op)](), node.right)
-
-
-def _joined(node: ast.BoolOp) -> Iterator[ast.AST]:
-    yield ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values)
-
-
-def _signed(node: ast.UnaryOp) -> Iterator[ast.AST]:
-    if not isinstance(node.op, ast.UAdd):
-        yield node.operand
-
-
-def _constant(node: ast.Constant) -> Iterator[ast.AST]:
-    if isinstance(node.value, bool):
-        yield ast.Constant(not node.value)
-    elif isinstance(node.value, int | float):
-        yield ast.Constant(node.value + 1 if node.value else 1)
-
-
-def _chosen(node: ast.IfExp) -> Iterator[ast.AST]:
-    yield ast.IfExp(ast.UnaryOp(ast.Not(), node.test), node.body, node.orelse)
-
-
-def _transposed(node: ast.Attribute) -> Iterator[ast.AST]:
-    if node.attr == "T":
-        yield node.value
+    match node:
+        case ast.Compare(left, [op], right):
+            tables = (table for table in (_COMPARED, _REVERSED) if type(op) in table)
+            yield from (ast.Compare(left, [table[type(op)]()], right) for table in tables)
+        case ast.BinOp(left, op, right) if type(op) in _COMPUTED and not _is_text(left, right):
+            yield ast.BinOp(left, _COMPUTED[type(op)](), right)
+        case ast.BoolOp(op, values):
+            yield ast.BoolOp(ast.Or() if isinstance(op, ast.And) else ast.And(), values)
+        case ast.UnaryOp(op, operand) if not isinstance(op, ast.UAdd):
+            yield operand
+        case ast.Constant(bool(value)):
+            yield ast.Constant(not value)
+        case ast.Constant(int(value) | float(value)):
+            yield ast.Constant(value + 1 if value else 1)
+        case ast.IfExp(test, body, orelse):
+            yield ast.IfExp(ast.UnaryOp(ast.Not(), test), body, orelse)
+        case ast.Attribute(value, "T"):
+            yield value
+        case ast.Call():
+            yield from _called(node)
+        case ast.AugAssign():
+            yield "pass"
 
 
 def _called(node: ast.Call) -> Iterator[ast.AST]:
-    f = node.func
-    if isinstance(f, ast.Name) and f.id in _CALLED:
-        yield ast.Call(ast.Name(_CALLED[f.id]), node.args, node.keywords)
-    elif isinstance(f, ast.Attribute) and f.attr in _CALLED:
-        yield ast.Call(ast.Attribute(f.value, _CALLED[f.attr]), node.args, node.keywords)
+    match node.func:
+        case ast.Name(name) if name in _CALLED:
+            yield ast.Call(ast.Name(_CALLED[name]), node.args, node.keywords)
+        case ast.Attribute(of, name) if name in _CALLED:
+            yield ast.Call(ast.Attribute(of, _CALLED[name]), node.args, node.keywords)
 
 
-_CHANGES: dict[type[ast.AST], Callable[[Any], Iterator[ast.AST | str]]] = {
-    ast.Compare: _compared,
-    ast.BinOp: _computed,
-    ast.BoolOp: _joined,
-    ast.UnaryOp: _signed,
-    ast.Constant: _constant,
-    ast.IfExp: _chosen,
-    ast.Attribute: _transposed,
-    ast.Call: _called,
-    ast.AugAssign: lambda node: iter(("pass",)),
-}
-"""What may become of a node, by its kind."""
-
-
-def _is_text(node: ast.BinOp) -> bool:
+def _is_text(*sides: ast.expr) -> bool:
     return any(
         isinstance(one, ast.JoinedStr | ast.Constant) and isinstance(getattr(one, "value", ""), str)
-        for one in (node.left, node.right)
+        for one in sides
     )
 
 
@@ -283,7 +256,7 @@ class _Loop:
         """Run them."""
         items = {item.nodeid: item for item in session.items}
         files = {str(ROOT / one.file) for one in self.chosen}
-        if _child(lambda: self._watched(items, files), _MOST_S):
+        if _child(lambda: self._watched(items, files)):
             self.why = "the tests fail without a mutant"
             return True
         seconds, lines = json.loads(self.kept.read_text(encoding="utf-8"))
@@ -323,34 +296,29 @@ class _Loop:
                     return True
             return False
 
-        return _child(act, _MOST_S) != 0
+        return _child(act) != 0
 
     def _run(self, item: Any) -> None:
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=None)
 
 
-def _child(act: Callable[[], bool], most_s: float) -> int:
+def _child(act: Callable[[], bool]) -> int:
     """Do something in a process of its own, without a word; 0 where it says no."""
     child = os.fork()
     if not child:
         code = 70
         try:
             os.setpgid(0, 0)
+            signal.alarm(_MOST_S)
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
             os.dup2(null, 2)
             code = int(act())
         finally:
             os._exit(code)
-    deadline = time.monotonic() + most_s
-    done = status = 0
-    while not done and time.monotonic() < deadline:
-        done, status = os.waitpid(child, os.WNOHANG)
-        time.sleep(0.01)
+    _, status = os.waitpid(child, 0)
     with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(child, signal.SIGKILL)
-    if not done:
-        _, status = os.waitpid(child, 0)
+        os.killpg(child, signal.SIGKILL)  # what it has started
     return status
 
 
@@ -408,13 +376,8 @@ def score(count: int, survived: Sequence[str]) -> tuple[float, int, int]:
 
 
 def main() -> int:
-    """Draw mutants, run their tests and list what survives; 1 where too many do, or unexplained."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--draw", type=int, default=200, help="mutants of all groups together")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=GROUPS, help="what is drawn of this group")
-    asked = parser.parse_args()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    """Draw mutants, run their tests and list what survives; return an exit code."""
+    asked = options(__doc__, draw=200, seed=0, only="")
     os.chdir(ROOT)
     known = tomllib.loads((ROOT / REASONS).read_text(encoding="utf-8"))
     reasons = {one["mutant"]: one["reason"] for one in known.get("survivor", [])}
@@ -431,7 +394,7 @@ def main() -> int:
     left, tried = list[Mutant](), 0
     for name, found in all_of.items():
         mine = [one for one in found if one in chosen]
-        if not mine or asked.only not in (None, name):
+        if not mine or asked.only not in ("", name):
             continue
         tried += len(mine)
         live = survivors(GROUPS[name], mine)

@@ -11,7 +11,6 @@ its asymptotic law. The filter is ekf_reference's, run through comparisons on a 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from benchmarks.script import options
 from benchmarks.timing import timed
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.config import RunConfig
@@ -27,11 +27,7 @@ from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.prepare import prepare
 from graphslam.increments import dead_reckoned
-from graphslam.sampling import (
-    PosteriorDraws,
-    SamplingOptions,
-    sample_posterior,
-)
+from graphslam.sampling import PosteriorDraws, SamplingOptions, sample_posterior
 from graphslam.smoother import smooth
 
 Array = NDArray[np.float64]
@@ -299,25 +295,17 @@ def report(name: str, solved: list[Solved], rng: np.random.Generator) -> Iterato
         yield f"  {which:20s}   pose {of_all[0]}   whole {of_all[1]}"
 
 
-def calibration(names: list[str], problems: int, seed: int) -> None:
+def main() -> None:
     """Print every case."""
-    for name in names:
-        rng = np.random.default_rng([seed, list(CASES).index(name)])
-        case = CASES[name]()
-        solved, cpu_s = timed(solve_all, case, problems, rng)
+    given = options(__doc__, problems=100, cases=tuple(CASES))
+    for number, (name, make) in enumerate(CASES.items()):
+        if name not in given.cases:
+            continue
+        rng = np.random.default_rng([0, number])
+        solved, cpu_s = timed(solve_all, make(), given.problems, rng)
         for line in report(name, solved, rng):
             print(line, flush=True)
         print(f"  {cpu_s:.0f} s of processor time")
-
-
-def main() -> None:
-    """Run as a script."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--problems", type=int, default=100)
-    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    calibration(given.cases, given.problems, given.seed)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -369,7 +370,8 @@ def make(table: Table, data: Path) -> Record:
     commit, before = _git("rev-parse", "--short=10", "HEAD"), _processor_s()
     with tempfile.TemporaryDirectory() as folder:
         done = run(table, data, Path(folder))
-        columns, rows = READERS[table.reader](table, done)
+        reader = READERS.get(table.reader)
+        columns, rows = reader(table, done) if reader else ((), ())
         picture = table.picture
         if picture and picture.source:
             drawn = next(iter(done.folders.values())) / picture.source
@@ -393,10 +395,6 @@ def make(table: Table, data: Path) -> Record:
 
 
 Cells = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
-
-
-def _nothing(table: Table, done: Done) -> Cells:
-    return (), ()
 
 
 def _runs(table: Table, done: Done) -> Cells:
@@ -459,13 +457,8 @@ def _montecarlo(table: Table, done: Done) -> Cells:
     return columns, (("95 % band", *band, "", "", ""), *rows)
 
 
-READERS = {
-    "printed": _nothing,
-    "picture": _nothing,
-    "runs": _runs,
-    "claims": _claims,
-    "montecarlo": _montecarlo,
-}
+READERS = {"runs": _runs, "claims": _claims, "montecarlo": _montecarlo}
+"""Of the files that commands leave."""
 
 
 def dump(record: Record) -> str:
@@ -490,20 +483,19 @@ def _processor_s() -> float:
 
 
 def _machine() -> Machine:
-    cpu = platform.processor() or platform.machine()
     listed = Path("/proc/cpuinfo")
-    for line in listed.read_text().splitlines() if listed.exists() else ():
-        if line.startswith("model name"):
-            cpu = line.partition(":")[2].strip()
-            break
+    lines = listed.read_text().splitlines() if listed.exists() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     versions = {"Python": platform.python_version()}
     for name in LIBRARIES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    system = f"{platform.system()} {platform.machine()}"
-    return Machine(cpu=cpu, cores=os.cpu_count() or 1, system=system, versions=versions)
+    return Machine(
+        cpu=next(names, platform.processor() or platform.machine()),
+        cores=os.cpu_count() or 1,
+        system=f"{platform.system()} {platform.machine()}",
+        versions=versions,
+    )
 
 
 def main() -> None:

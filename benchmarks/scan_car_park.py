@@ -10,13 +10,13 @@ others, and compared. Below: what differs between the runs.
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
 
-from benchmarks.scan_rounding import perturbed
+from benchmarks.script import options, present
 from benchmarks.timing import timed
 from comparisons.adapters.time_window import cut_log
 from comparisons.arrays import Array
@@ -26,8 +26,12 @@ from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.jobs.run import compare
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import poses_at
+from comparisons.logs.transforms.calibration import controlled
 from comparisons.settings import run_config
 
+SIZE = 1e-12
+"""Standard deviation of the factors by which inputs are multiplied, about 1."""
 BEACON_M = 1.5
 """A detection farther from every surveyed beacon is of something else."""
 LEAST = 5
@@ -58,12 +62,7 @@ class Run(NamedTuple):
 
 def main() -> None:
     """Run all and print a line each."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("log")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--end", type=float, default=np.inf)
-    asked = parser.parse_args()
+    asked = options(__doc__, "log", runs=20, processes=2, end=float)
     work = (delayed(one)(asked.log, number, asked.end) for number in range(asked.runs + 1))
     runs: list[Run] = []
     for number, run in enumerate(Parallel(n_jobs=asked.processes, return_as="generator")(work)):
@@ -87,35 +86,46 @@ def main() -> None:
         print(f"{name}: figures differ by at most {max(apart, default=0.0):.1e} m")
 
 
-def one(path: str, number: int, end_s: float) -> Run:
+def one(path: str, number: int, end_s: float | None) -> Run:
     """Run `number`, 0 with the inputs as they are."""
-    log = open_log(path)
-    if np.isfinite(end_s):
-        log = cut_log(log, end_s=end_s)
+    log = cut_log(open_log(path), end_s=end_s)
     if number:
         log = perturbed(log, np.random.default_rng(number))
     c, spent = timed(compare, log, run_config(landmarks="scans"))
-    found = c.find(ScanLandmarksFinding).source.found
-    reckoned = c.accuracy.dead_reckoning
-    if reckoned is None or reckoned.gps_rms_aligned_m is None:
-        raise ValueError("the log has no GPS")
     return Run(
         c.verdict.outcome,
         len(c.ekf.estimate.pose_landmarks),
         len(c.ekf.pose_landmarks.measured),
         errors(log, c.ekf.estimate),
         errors(log, c.gaps.smoothed),
-        float(reckoned.gps_rms_aligned_m),
-        found.scans / spent,
+        present(present(c.accuracy.dead_reckoning).gps_rms_aligned_m),
+        c.find(ScanLandmarksFinding).source.found.scans / spent,
     )
+
+
+def perturbed(log: Log, rng: np.random.Generator) -> Log:
+    """Return a log with its inputs multiplied by 1 + SIZE times a standard normal, each its own.
+
+    Ranges and bearings of scans, odometry, the prior's pose and positions; times, noise and truth
+    stay.
+    """
+
+    def moved(values: Array) -> Array:
+        return np.asarray(values * (1.0 + SIZE * rng.standard_normal(np.shape(values))))
+
+    scans, positions = log.scans, log.positions
+    if scans is not None:
+        scans = replace(scans, range_m=moved(scans.range_m), angle_rad=moved(scans.angle_rad))
+    if positions is not None:
+        positions = replace(positions, position_m=moved(positions.position_m))
+    log = controlled(replace(log, scans=scans, positions=positions), moved, moved)
+    return replace(log, prior=replace(log.prior, pose=moved(log.prior.pose)))
 
 
 def errors(log: Log, estimate: Estimate) -> Errors:
     """Compare an estimate with GPS and with the surveyed beacons."""
-    positions = log.positions
-    if positions is None:
-        raise ValueError("the log has no GPS")
-    at = _poses(estimate, positions.time_s)[:, :2]
+    positions = present(log.positions)
+    at = poses_at(positions.time_s, estimate.time_s, estimate.pose)[:, :2]
     away = np.hypot(*(aligned(at, positions.position_m) - positions.position_m).T)
     robust = np.hypot(*(aligned(at, positions.position_m, robust=True) - positions.position_m).T)
     found, true = beacons(log, estimate)
@@ -131,27 +141,19 @@ def errors(log: Log, estimate: Estimate) -> Errors:
 
 def beacons(log: Log, estimate: Estimate) -> tuple[Array, Array]:
     """(B, 2) mean places of the beacons' detections from estimated poses, and the surveyed ones."""
-    seen, table, positions = log.measurements, log.truth.landmarks, log.positions
-    if table is None or positions is None:
-        raise ValueError("the log has no surveyed beacons")
-    pose = _poses(estimate, seen.time_s)
+    seen, table, positions = log.measurements, present(log.truth.landmarks), present(log.positions)
+    pose = poses_at(seen.time_s, estimate.time_s, estimate.pose)
     bearing = pose[:, 2] + seen.bearing_rad
     place = pose[:, :2] + seen.range_m[:, None] * np.column_stack(
         (np.cos(bearing), np.sin(bearing))
     )
-    at = _poses(estimate, positions.time_s)[:, :2]
+    at = poses_at(positions.time_s, estimate.time_s, estimate.pose)[:, :2]
     moved = rigid_motion(at, positions.position_m)(place)
     apart = np.linalg.norm(moved[:, None] - table.position_m, axis=2)
     nearest, near = apart.argmin(axis=1), apart.min(axis=1) < BEACON_M
     counted = [k for k in range(len(table.position_m)) if (near & (nearest == k)).sum() >= LEAST]
     found = np.array([place[near & (nearest == k)].mean(axis=0) for k in counted])
     return found.reshape(-1, 2), table.position_m[counted]
-
-
-def _poses(estimate: Estimate, time_s: Array) -> Array:
-    heading = np.unwrap(estimate.pose[:, 2])
-    columns = (*estimate.pose[:, :2].T, heading)
-    return np.column_stack([np.interp(time_s, estimate.time_s, column) for column in columns])
 
 
 def _words(e: Errors) -> str:

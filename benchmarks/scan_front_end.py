@@ -9,7 +9,6 @@ freedom; the band is that of an average over as many runs as there are seeds.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from benchmarks.script import options, present
 from benchmarks.timing import timed
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
@@ -107,9 +107,8 @@ def honesty(name: str, seeds: int) -> None:
     for seed in range(seeds):
         log = open_log(name, choices=SimulationChoices(seed))
         motion = run_scan_odometry(log)
-        assert log.truth.poses is not None
         failed += len(motion.failures)
-        squared = normalised_errors(motion, log.truth.poses)
+        squared = normalised_errors(motion, present(log.truth.poses))
         runs.append(float(squared.mean()))
         drifts.append(drift(log, motion))
     low, high = chi2.ppf((0.025, 0.975), 3 * seeds) / seeds
@@ -122,11 +121,8 @@ def honesty(name: str, seeds: int) -> None:
 
 def drift(log: Log, motion: ScanMotion) -> float:
     """Distance of the last pose from the truth, over the way, both seen from the first pose."""
-    poses = log.truth.poses
-    assert poses is not None
-    x, y, heading = (np.interp(motion.time_s, poses.time_s, c) for c in poses.pose.T)
-    true = np.column_stack((x, y, heading))
-    way = np.hypot(np.diff(x), np.diff(y)).sum()
+    true = present(log.truth.poses).at(motion.time_s)
+    way = np.hypot(*np.diff(true[:, :2], axis=0).T).sum()
     miss = motion.pose[-1, :2] - planar.between(true[0], true[-1])[:2]
     return float(np.hypot(*miss) / way)
 
@@ -136,12 +132,10 @@ def front_end(log: Log) -> None:
     f = run_front_end(log)
     spent_s = f.prepared.clock.seconds["loops"]
     print(f"{log.name}: {len(f.closed.loop_closures.first)} loops closed in {spent_s:.1f} s")
-    for name, accuracy in (
-        ("wheels", f.accuracy.get("wheels")),
-        ("scan odometry", f.accuracy.get("scans")),
-        ("scan graph", f.accuracy.get("scan graph")),
-    ):
-        if accuracy is not None:
+    for key, name in (
+        ("wheels", "wheels"), ("scans", "scan odometry"), ("scan graph", "scan graph"),
+    ):  # fmt: skip
+        if (accuracy := f.accuracy.get(key)) is not None:
             figure = accuracy.gps_rms_aligned_m or accuracy.ate_aligned_m
             print(f"  {name}: RMS after alignment {figure:.3f} m")
     check = check_increments(f.motion, log)
@@ -153,20 +147,16 @@ def front_end(log: Log) -> None:
 
 def main() -> None:
     """Run all and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--seeds-3d", type=int, default=12)
-    parser.add_argument("--log", type=Path)
-    arguments = parser.parse_args()
+    asked = options(__doc__, seeds=50, seeds_3d=12, log=Path)
     logs = [open_log(name) for name in PLANAR]
-    if arguments.log is not None:
-        logs.append(read_log(arguments.log))
+    if asked.log is not None:
+        logs.append(read_log(asked.log))
     for log in logs:
         speed(log)
     for name in PLANAR:
-        honesty(name, arguments.seeds)
-    if arguments.seeds_3d:
-        honesty("scan-loop-3d", arguments.seeds_3d)
+        honesty(name, asked.seeds)
+    if asked.seeds_3d:
+        honesty("scan-loop-3d", asked.seeds_3d)
     for log in logs:
         front_end(log)
 

@@ -12,30 +12,28 @@ true axis is where its template fits the noise-free surfaces best.
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from benchmarks.script import options, present
 from benchmarks.timing import timed
 from comparisons.checks.accuracy import aligned
-from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.accuracy import error_of_points
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points
 from comparisons.extensions.scan_landmarks.source import LogScans
 from comparisons.jobs.run import Comparison, compare
-from comparisons.logs.log import Log
-from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_drive import ScanExperiment, scan_slam, simulate
 from comparisons.logs.simulate.scanners import Planar
 from comparisons.settings import run_config
 from comparisons.statistics import chi2_quantile
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_matching.alignment_covariance import scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
 from graphslam.scan import planar
@@ -84,6 +82,7 @@ def experiment(laser: str) -> ScanExperiment:
     table = scan_slam()
     if laser == "table":
         return table
+    assert laser == "2cm"
     exact = Planar(
         max_range_m=table.drive.max_range_m, sigma_range_m=0.02, sigma_beam_rad=math.radians(0.1)
     )
@@ -92,13 +91,7 @@ def experiment(laser: str) -> ScanExperiment:
 
 def main() -> None:
     """Run all, print a table and the means."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=30)
-    parser.add_argument("--first", type=int, default=100)
-    parser.add_argument("--laser", choices=("table", "2cm"), default="table")
-    parser.add_argument("--seconds", type=float, default=math.inf)
-    parser.add_argument("--processes", type=int, default=2)
-    asked = parser.parse_args()
+    asked = options(__doc__, seeds=30, first=100, laser="table", seconds=math.inf, processes=2)
     seeds = range(asked.first, asked.first + asked.seeds)
     names = [f.name for f in fields(Row)]
     print("seed", *(f"{name:>14}" for name in names))
@@ -107,7 +100,8 @@ def main() -> None:
     drives = Parallel(n_jobs=asked.processes, return_as="generator")(work)
     for seed, row in zip(seeds, drives, strict=True):
         rows.append(row)
-        print(f"{seed:4}", *(_shown(value) for value in vars(row).values()), flush=True)
+        figures = (f"{vars(row)[name]:14.3g}" for name in names[1:])
+        print(f"{seed:4}", f"{row.verdict:>14}", *figures, flush=True)
     summary(rows)
 
 
@@ -136,32 +130,31 @@ def summary(rows: list[Row]) -> None:
 
 
 def measured(seed: int, laser: str, seconds: float) -> Row:
-    """One drive."""
+    """One drive, or its beginning; scans without odometry are not looked at."""
     drive = experiment(laser)
-    log = _until(simulate(np.random.default_rng(seed), drive), seconds)
+    log = simulate(np.random.default_rng(seed), drive)
+    log = replace(log, odometry=log.odometry.chosen(log.odometry.time_s < seconds))
     c, cpu_s = timed(compare, log, run_config(landmarks="scans"))
-    source = c.find(ScanLandmarksFinding).source
-    ekf, reckoned = c.accuracy.ekf, c.accuracy.dead_reckoning
-    smoother, gaps = c.accuracy.smoother, c.agreement
-    if ekf is None or smoother is None or reckoned is None or source.closing is None:
-        raise ValueError("no scan moved a landmark, or the log has no truth")
-    error = _pose_errors(c)
-    closing = int(np.searchsorted(c.ekf.estimate.time_s, source.closing.time_s)) - 1
-    nees = np.einsum(
-        "ki,kij,kj->k", error, np.linalg.inv(c.ekf.estimate.pose_covariance + 1e-12), error
+    source, gaps, estimate = c.find(ScanLandmarksFinding).source, c.agreement, c.ekf.estimate
+    ekf_m, smoother_m, wheels_m = (
+        float(present(one).ate_m or 0.0)
+        for one in (c.accuracy.ekf, c.accuracy.smoother, c.accuracy.dead_reckoning)
     )
+    error = estimate.pose - present(log.truth.poses).at(estimate.time_s)
+    error[:, 2] = wrap_angle(error[:, 2])
+    closing = int(np.searchsorted(estimate.time_s, present(source.closing).time_s)) - 1
+    nees = np.einsum("ki,kij,kj->k", error, np.linalg.inv(estimate.pose_covariance + 1e-12), error)
     true = true_axes(c, drive)
     places, distances = landmark_nees(c, true)
-    before, last, smoothed = _map_errors(c)
-    shape_before, shape_last = _shapes(c, true)
+    before, last, smoothed, shape_before, shape_last = map_errors(c, true)
     return Row(
         verdict=c.verdict.outcome,
-        landmarks=len(c.ekf.estimate.pose_landmarks),
+        landmarks=len(estimate.pose_landmarks),
         used=len(c.ekf.pose_landmarks.measured),
-        ekf_m=float(ekf.ate_m or 0.0),
-        smoother_m=float(smoother.ate_m or 0.0),
-        wheels_m=float(reckoned.ate_m or 0.0),
-        ratio=float(ekf.ate_m or 0.0) / float(reckoned.ate_m or 1.0),
+        ekf_m=ekf_m,
+        smoother_m=smoother_m,
+        wheels_m=wheels_m,
+        ratio=ekf_m / (wheels_m or 1.0),
         before_m=before,
         last_m=last,
         smoothed_m=smoothed,
@@ -187,10 +180,9 @@ def landmark_nees(c: Comparison, true: Array) -> tuple[float, float]:
     error = (estimate.pose_landmarks - true)[:, :2]
     own = estimate.pose_landmark_covariances()[:, :2, :2]
     places = np.einsum("qi,qij,qj->q", error, np.linalg.inv(own), error) / 2.0
-    pairs = _seen_together(c)
-    joint = _landmark_covariance(estimate)
-    found = []
-    for i, j in pairs:
+    size = 3 * len(estimate.pose_landmarks)
+    joint, found = estimate.joint_covariance[-size:, -size:], []
+    for i, j in _seen_together(c):
         apart = estimate.pose_landmarks[j, :2] - estimate.pose_landmarks[i, :2]
         length = float(np.hypot(*apart))
         if length < 1.0:
@@ -205,19 +197,16 @@ def landmark_nees(c: Comparison, true: Array) -> tuple[float, float]:
 
 def true_axes(c: Comparison, drive: ScanExperiment) -> Array:
     """(Q, 3) where the templates fit the noise-free surfaces best."""
-    poses, scans = c.log.truth.poses, LogScans(c.log)
-    if poses is None:
-        raise ValueError("the log has no true poses")
+    poses, scans = present(c.log.truth.poses), LogScans(c.log)
     run, found = c.ekf, c.find(ScanLandmarksFinding).source.found
     solid = drive.world.solids()
-    first: dict[int, int] = {}
-    for row, landmark in enumerate(run.pose_landmarks.landmark.tolist()):
-        first.setdefault(landmark, row)
+    numbers, rows = np.unique(run.pose_landmarks.landmark, return_index=True)
+    first = dict(zip(numbers.tolist(), rows.tolist(), strict=True))
     bearing = np.radians(np.arange(-90.0, 90.01, 0.5))
     axes = []
     for landmark in run.estimate.pose_landmark_id.tolist():
-        row = first[landmark]
-        vehicle = poses.at(run.estimate.time_s[run.pose_landmarks.pose[row]][None])[0]
+        epoch = run.pose_landmarks.pose[first[landmark]]
+        vehicle = poses.at(run.estimate.time_s[epoch][None])[0]
         scanner = planar.compose(vehicle, scans.mount)
         way = cast(bearing, np.tile(scanner, (len(bearing), 1)), solid)
         way = np.where(way <= drive.drive.max_range_m, way, np.nan)
@@ -229,12 +218,6 @@ def true_axes(c: Comparison, drive: ScanExperiment) -> Array:
     return np.array(axes)
 
 
-def _landmark_covariance(estimate: Estimate) -> Array:
-    """(3 Q, 3 Q) of the pose landmarks."""
-    size = 3 * len(estimate.pose_landmarks)
-    return np.asarray(estimate.joint_covariance[-size:, -size:])
-
-
 def _seen_together(c: Comparison) -> list[tuple[int, int]]:
     """Pairs of landmarks, by their place in the estimate, that one scan measured."""
     place = {int(k): i for i, k in enumerate(c.ekf.estimate.pose_landmark_id)}
@@ -242,73 +225,33 @@ def _seen_together(c: Comparison) -> list[tuple[int, int]]:
     found = set()
     for epoch in np.unique(seen.pose).tolist():
         here = sorted({place[k] for k in seen.landmark[seen.pose == epoch].tolist() if k in place})
-        found |= {(i, j) for n, i in enumerate(here) for j in here[n + 1 :]}
+        found |= set(combinations(here, 2))
     return sorted(found)
 
 
-def _pose_errors(c: Comparison) -> Array:
-    truth = c.log.truth.poses
-    if truth is None:
-        raise ValueError("the log has no true poses")
-    error = c.ekf.estimate.pose - truth.at(c.ekf.estimate.time_s)
-    error[:, 2] = np.mod(error[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    return np.asarray(error)
+def map_errors(c: Comparison, true: Array) -> tuple[float, ...]:
+    """How far the landmarks are off that there were before the closing, five figures [m].
 
-
-def _map_errors(c: Comparison) -> tuple[float, float, float]:
-    """Medians of the templates' distances from the surfaces: before, at the end, smoothed.
-
-    All three of the landmarks that there were before the closing.
+    Medians of the templates' distances from the surfaces: before, at the end, smoothed. RMS from
+    the true axes (Q, 3), aligned: before, at the end.
     """
     source, smoothed = c.find(ScanLandmarksFinding).source, c.gaps.smoothed
-    closing, surfaces = source.closing, c.log.truth.surfaces
-    if closing is None or surfaces is None:
-        raise ValueError("no scan moved a landmark, or there are no true surfaces")
+    closing, surfaces = present(source.closing), present(c.log.truth.surfaces)
     # Templates of landmarks that were merged later are other landmarks' by now.
     kept = np.isin(closing.landmark_index, smoothed.pose_landmark_id)
     index = closing.landmark_index[kept]
     row = np.searchsorted(smoothed.pose_landmark_id, index)
-    places = (
-        closing.before[kept],
-        c.ekf.pose_landmark_places[index],
-        smoothed.pose_landmarks[row],
-    )
-    before, last, best = (
+    before, last = closing.before[kept], c.ekf.pose_landmark_places[index]
+    medians = (
         error_of_points(template_points(source.found, index, place), surfaces.segment).median_m
-        for place in places
+        for place in (before, last, smoothed.pose_landmarks[row])
     )
-    return before, last, best
-
-
-def _shapes(c: Comparison, true: Array) -> tuple[float, float]:
-    """RMS of landmarks from the true ones, aligned, of those before the closing; at the end."""
-    closing = c.find(ScanLandmarksFinding).source.closing
-    if closing is None:
-        raise ValueError("no scan moved a landmark")
-    ids = c.ekf.estimate.pose_landmark_id
-    kept = np.isin(closing.landmark_index, ids)
-    index = closing.landmark_index[kept]
-    axes = true[np.searchsorted(ids, index), :2]
-    before, last = (
+    axes = true[row, :2]
+    shapes = (
         float(np.sqrt(np.square(aligned(place[:, :2], axes) - axes).sum(axis=1).mean()))
-        for place in (closing.before[kept], c.ekf.pose_landmark_places[index])
+        for place in (before, last)
     )
-    return before, last
-
-
-def _until(log: Log, seconds: float) -> Log:
-    """The beginning of a drive; scans without odometry are not looked at."""
-    odometry = log.odometry
-    if not isinstance(odometry, SteeringOdometry):
-        raise TypeError("expected a drive with steering")
-    count = int(np.searchsorted(odometry.time_s, seconds))
-    columns = ("time_s", "speed_mps", "steering_rad")
-    short = {name: getattr(odometry, name)[:count] for name in columns}
-    return replace(log, odometry=replace(odometry, **short))
-
-
-def _shown(value: Any) -> str:
-    return f"{value:>14}" if isinstance(value, str) else f"{value:14.3g}"
+    return *medians, *shapes
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ averaged over the steps since the row before.
 
 from __future__ import annotations
 
-import argparse
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.recorded_batch import record
+from benchmarks.script import options, present, print_head, print_row
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.experiments.montecarlo.runs import FILTERS
@@ -50,8 +50,7 @@ class Follower:
 
     def learnt(self) -> Learnt:
         """Return what the run has learnt so far."""
-        assert self._found is not None
-        return self._found.result()
+        return present(self._found).result()
 
 
 class Measured(NamedTuple):
@@ -71,8 +70,7 @@ def measured(name: str, world: World, runs: int) -> Measured:
     """Run one variant over all runs."""
     data = measure(world, range(runs))
     filter_ = FILTERS[name](world, runs)
-    if not isinstance(filter_, BatchEkf | InvariantEkf):
-        raise TypeError(f"{name} cannot be recorded")
+    assert isinstance(filter_, BatchEkf | InvariantEkf)
     followers = [Follower() for _ in range(runs)]
     record(filter_, len(world.landmark), {run: one.take for run, one in enumerate(followers)})
     steps = len(world.seen)
@@ -101,29 +99,25 @@ def _at_steps(found: Learnt, steps: int) -> Array:
 
 def print_table(by_variant: dict[str, Measured], steps: int) -> None:
     """A row for each variant and step."""
-    print("| filter | step | information [1/rad^2] | sigma [deg] | NEES heading | NEES pose |")
-    print("|---|---|---|---|---|---|")
+    titles = ("information [1/rad^2]", "sigma [deg]", "NEES heading", "NEES pose")
+    print_head("filter", "step", *titles)
     rows = [row for row in ROWS if row < steps] + [steps]
     for name, one in by_variant.items():
         for begin, end in zip([0, *rows[:-1]], rows, strict=True):
             told = one.information[end - 1]
             sigma = f"{np.degrees(told**-0.5):.2f}" if told > 0.0 else "none"
             amount = f"{told:.4g}" if told > 0.0 else f"0 (rounding, {one.rounding:.0e} at the end)"
-            nees = f"{one.heading[begin:end].mean():.2f} | {one.pose[begin:end].mean():.2f}"
-            print(f"| {name} | {end} | {amount} | {sigma} | {nees} |")
+            nees = (f"{each[begin:end].mean():.2f}" for each in (one.heading, one.pose))
+            print_row(name, end, amount, sigma, *nees)
 
 
 def main() -> None:
     """Measure all variants and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--steps", type=int)
-    choices = parser.parse_args()
-    scenario = read_scenario("circle")
-    if choices.steps is not None:
-        scenario = scenario.model_copy(update={"steps": choices.steps})
+    asked, scenario = options(__doc__, runs=20, steps=int), read_scenario("circle")
+    if asked.steps is not None:
+        scenario = scenario.model_copy(update={"steps": asked.steps})
     world = build_world(scenario)
-    by_variant = {name: measured(name, world, choices.runs) for name in FILTERS}
+    by_variant = {name: measured(name, world, asked.runs) for name in FILTERS}
     print_table(by_variant, scenario.steps)
 
 

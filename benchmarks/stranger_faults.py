@@ -60,24 +60,13 @@ def fed(change: Callable[[Log], dict[str, Any]]) -> Plant:
     return instead(fed=lambda own, ekf, log: replace(log, **change(log)))
 
 
-def seen(change: Change) -> Plant:
-    """Change z of all measurements, by the filter, the measurement's number and z."""
-    return instead(seen=lambda own, ekf, k: np.asarray(change(ekf, k, own(k))))
+def changed(name: str, change: Change) -> Plant:
+    """Change what a method returns of a measurement or sample, by the filter, its number and that.
 
-
-def noisy(change: Change) -> Plant:
-    """Change R, of new landmarks as well; by the filter, the measurement's number and R."""
-    return instead(noise=lambda own, ekf, k: np.asarray(change(ekf, k, own(k))))
-
-
-def new_noise(change: Change) -> Plant:
-    """Change R of new landmarks alone, by the filter, the measurement's number and R."""
-    return instead(first_noise=lambda own, ekf, k: np.asarray(change(ekf, k, own(k))))
-
-
-def driving(change: Change) -> Plant:
-    """Change speed and turn, by the filter, the sample's number and both."""
-    return instead(driven=lambda own, ekf, number: np.asarray(change(ekf, number, own(number))))
+    seen: z. noise: R, that of new landmarks as well. first_noise: R of new landmarks alone. driven:
+    speed and turn.
+    """
+    return instead(**{name: lambda own, ekf, k: np.asarray(change(ekf, k, own(k)))})
 
 
 def rooted(k: int) -> Change:
@@ -123,11 +112,6 @@ def bearing_of_departed(own: Change, ekf: Ekf, pose: Array, point: Array) -> tup
     """Return H with its bearing row from before the prediction."""
     pairs = zip(own(pose, point)[1:], own(ekf.departed, point)[1:], strict=True)
     return tuple(np.vstack((now[0], then[1])) for now, then in pairs)
-
-
-def where_seen(own: Change, ekf: Ekf, pose: Array, point: Array) -> Any:
-    """Return H where the measurement puts the landmark."""
-    return own(pose, ekf.place(pose, ekf.log.z[ekf.now])[0])[1:]
 
 
 def sensor_at(forward: float, left: float) -> Plant:
@@ -259,11 +243,6 @@ def from_departed(own: Change, ekf: Ekf, pose: Array, z: Array) -> Any:
     return (own(ekf.departed, z)[0], *own(pose, z)[1:])
 
 
-def late_odometry(own: Change, ekf: Ekf, number: int, *args: float) -> None:
-    """Drive by the sample before."""
-    own(max(number - 1, 0), *args)
-
-
 def forgets(own: Change, ekf: Ekf, *args: Any) -> None:
     """Lose a hundredth of the vehicle's covariance with the map."""
     own(*args)
@@ -278,33 +257,28 @@ Q_ALSO = r"^Q |^the control part of Q is|noise of the"  # Q follows the control 
 
 def measured(name: str, hint: str, change: Change) -> Fault:
     """Return a fault of what is taken for the measurement, new landmarks included."""
-    return Fault(name, seen(change), hint, "landmarks")
+    return Fault(name, changed("seen", change), hint, "landmarks")
 
 
 def driven(name: str, hint: str, change: Change) -> Fault:
     """Return a fault of the control."""
-    return Fault(name, driving(change), hint, Q_ALSO)
+    return Fault(name, changed("driven", change), hint, Q_ALSO)
 
 
-def of_r(name: str, hint: str, change: Callable[[Array], Array]) -> Fault:
-    """Return a fault of R, that of new landmarks included."""
-    return Fault(name, noisy(lambda ekf, k, r: change(r)), hint)
-
-
-def of_new_r(name: str, hint: str, change: Change) -> Fault:
-    """Return a fault of R of new landmarks alone."""
-    return Fault(name, new_noise(change), hint)
-
-
-def of_positions(name: str, hint: str, **parts: Change) -> Fault:
-    """Return a fault of positions."""
-    return Fault(name, positioned(**parts), hint, log="positions")
+def of_r(name: str, hint: str, change: Change, *, new: bool = False) -> Fault:
+    """Return a fault of R, that of new landmarks included or alone."""
+    return Fault(name, changed("first_noise" if new else "noise", change), hint)
 
 
 def of_car(name: str, hint: str, **parts: float) -> Fault:
     """Return a fault of the vehicle's measures, in its motion alone."""
     plant = instead(velocity=lambda own, ekf, u: own(u, **parts))
     return Fault(name, plant, hint, Q_ALSO, "car")
+
+
+def of_positions(name: str, hint: str, **parts: Change) -> Fault:
+    """Return a fault of positions: of the place, of the noise."""
+    return Fault(name, positioned(**parts), hint, log="positions")
 
 
 HINTS = (
@@ -357,24 +331,21 @@ HINTS = (
         lambda ekf, k, z: (z[0], abs(z[1])),
     ),
     # R.
-    of_r("R of ranges times 4", r"R.*range.* 4 times", lambda r: r * np.diag([4.0, 1.0])),
+    of_r("R of ranges times 4", r"R.*range.* 4 times", lambda ekf, k, r: r * np.diag([4.0, 1.0])),
     of_r("R of bearings times 0.25", r"R.*bearing.* 0\.25 times",
-         lambda r: r * np.diag([1.0, 0.25])),
-    of_r("R times 9", r"R is 9 times", lambda r: 9.0 * r),
-    Fault(
-        "sigma of range grows",
-        noisy(lambda ekf, k, r: np.diag([(0.02 * ekf.log.z[k, 0]) ** 2, r[1, 1]])),
-        hint=r"R.*range.*(grows|proportion|times the range)",
-    ),
+         lambda ekf, k, r: r * np.diag([1.0, 0.25])),
+    of_r("R times 9", r"R is 9 times", lambda ekf, k, r: 9.0 * r),
+    of_r("sigma of range grows", r"R.*range.*(grows|proportion|times the range)",
+         lambda ekf, k, r: np.diag([(0.02 * ekf.log.z[k, 0]) ** 2, r[1, 1]])),
     of_r("R correlated", r"R.*(correlat|off-diagonal).*0\.3",
-         lambda r: r + 0.3 * np.sqrt(r[0, 0] * r[1, 1]) * (1.0 - np.eye(2))),
+         lambda ekf, k, r: r + 0.3 * np.sqrt(r[0, 0] * r[1, 1]) * (1.0 - np.eye(2))),
     Fault("sigma for variance, bearing", instead(noise=rooted(1)), r"R.*bearing.*sigma instead"),
-    of_new_r("R of new landmarks times 4", r"R of new landmarks.* 4 times",
-             lambda ekf, k, r: 4.0 * r),
-    of_new_r("R of new landmarks' bearing halved", r"R of new landmarks.*bearing.* 0\.5 times",
-             lambda ekf, k, r: r * np.diag([1.0, 0.5])),
-    of_new_r("sigma in new landmarks", r"R of new landmarks.*sigma instead",
-             lambda ekf, k, r: np.sqrt(r)),
+    of_r("R of new landmarks times 4", r"R of new landmarks.* 4 times",
+         lambda ekf, k, r: 4.0 * r, new=True),
+    of_r("R of new landmarks' bearing halved", r"R of new landmarks.*bearing.* 0\.5 times",
+         lambda ekf, k, r: r * np.diag([1.0, 0.5]), new=True),
+    of_r("sigma in new landmarks", r"R of new landmarks.*sigma instead",
+         lambda ekf, k, r: np.sqrt(r), new=True),
     # H.
     Fault("sign of H's heading", entries(lambda h, d: h * (1, 1, -1, 1, 1)),
           r"heading.*opposite sign"),
@@ -487,20 +458,24 @@ HELD_OUT = (
     driven("steering scaled with a bias", r"steering angle is 1\.1 times.*-0\.02",
            lambda ekf, n, u: u * (1.0, 1.1) - (0.0, 0.02)),
     Fault("measurements 50 ms late", extrapolated(0.05), hint=r"0\.05 s"),
-    Fault("H where it was seen", h_of(where_seen), hint=r"H.*measurement gives"),
+    Fault(
+        "H where it was seen",
+        h_of(lambda own, ekf, pose, at: own(pose, ekf.place(pose, ekf.log.z[ekf.now])[0])[1:]),
+        hint=r"H.*measurement gives",
+    ),
     Fault("bearing row of the old pose", h_of(bearing_of_departed),
           hint=r"bearing row.*before the last prediction"),
     Fault("half the range for new ones",
           instead(first_seen=lambda own, ekf, k: own(k) * (0.5, 1.0)),
           hint=r"landmarks' range is 0\.5 times"),
     of_r("bearing noise added", r"R of the bearing (has a constant of 0\.0001 added|is 1\.328)",
-         lambda r: r + np.diag([0.0, 1e-4])),
-    Fault("far R halved", noisy(lambda ekf, k, r: r * (0.5 if ekf.log.z[k, 0] > 15.0 else 1.0)),
-          hint=r"R is 0\.5 times.*range.* 15"),
-    of_new_r("new R grows", r"R of new landmarks of the range is .* times .*range",
-             lambda ekf, k, r: np.diag([(0.05 * ekf.log.z[k, 0]) ** 2, r[1, 1]])),
-    of_new_r("new R exchanged", r"R of new landmarks has the variances",
-             lambda ekf, k, r: r[::-1, ::-1]),
+         lambda ekf, k, r: r + np.diag([0.0, 1e-4])),
+    of_r("far R halved", r"R is 0\.5 times.*range.* 15",
+         lambda ekf, k, r: r * (0.5 if ekf.log.z[k, 0] > 15.0 else 1.0)),
+    of_r("new R grows", r"R of new landmarks of the range is .* times .*range",
+         lambda ekf, k, r: np.diag([(0.05 * ekf.log.z[k, 0]) ** 2, r[1, 1]]), new=True),
+    of_r("new R exchanged", r"R of new landmarks has the variances",
+         lambda ekf, k, r: r[::-1, ::-1], new=True),
     Fault("sigma for variance, prior", instead(prior=lambda own, ekf, p: np.sqrt(own(p))),
           r"prior's covariance contains sigma"),
     driven("trapezoid", r"mean of a sample and the next one",

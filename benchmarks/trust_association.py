@@ -11,14 +11,16 @@ by five-fold cross-validation over so many simulated sensors.
 
 from __future__ import annotations
 
-import argparse
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.association_logs import piece, simulated_sensor
+from benchmarks.script import options, present
 from benchmarks.trust_row import Row, print_table
 from comparisons.checks import association_variants
 from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED
@@ -65,12 +67,9 @@ def tried(log: Log, robust: str = "none") -> Trial | None:
         known, own = (solve(log, config) for config in (labelled, SolveConfig(association="own")))
     except (InputError, SingularProblemError):
         return None
-    checked = own.association_check
-    assert checked is not None
-    errors = [s.accuracy.ate_m for s in (own, known) if s.accuracy is not None]
-    assert errors[0] is not None
-    assert errors[1] is not None
-    return Trial(log.name, errors[0], errors[1], checked.verified, checked)
+    checked = present(own.association_check)
+    own_m, labels_m = (present(present(one.accuracy).ate_m) for one in (own, known))
+    return Trial(log.name, own_m, labels_m, checked.verified, checked)
 
 
 def mrclam_pieces(data: Path, quick: bool) -> Iterator[Log]:
@@ -86,8 +85,7 @@ def mrclam_pieces(data: Path, quick: bool) -> Iterator[Log]:
 
 def association_row(name: str, trials: Sequence[Trial]) -> Row:
     """How often a wrong association was called verified, and a right one not."""
-    wrong = [one for one in trials if one.wrong]
-    right = [one for one in trials if not one.wrong]
+    wrong, right = ([one for one in trials if one.wrong == which] for which in (True, False))
     missed = sum(one.verified for one in wrong)
     refused = sum(not one.verified for one in right)
     return Row(
@@ -120,17 +118,14 @@ def shared(log: Log, associations: Iterable[str]) -> Iterator[SharedMistake]:
     with_labels = _error(compare(log, run_config(association="known")))
     for association in associations:
         found = compare(log, run_config(association=association))
-        gap = found.truth_gap
-        assert gap is not None
-        headline = found.verdict.headline
+        gap, headline = present(found.truth_gap), found.verdict.headline
         name = f"{log.name}, {association}"
         yield SharedMistake(name, headline, _error(found), with_labels, gap.measurement_m)
 
 
 def _error(found: Comparison) -> float:
     """Of the smoother: of its landmarks, or of its poses if that is more."""
-    accuracy = found.accuracy.smoother
-    assert accuracy is not None
+    accuracy = present(found.accuracy.smoother)
     return max(accuracy.ate_m or 0.0, accuracy.landmark_rmse_m or 0.0)
 
 
@@ -190,9 +185,7 @@ def unchecked_row() -> Row:
 def car_park_row(data: Path) -> Row:
     """The car park has no labels; its beacons' places say whether the association is right."""
     found = solve(open_log(str(data / "acfr_car_park")), SolveConfig(association="own"))
-    accuracy, checked = found.accuracy, found.association_check
-    assert accuracy is not None
-    assert checked is not None
+    accuracy, checked = present(found.accuracy), present(found.association_check)
     against = ", ".join(f"{one.name} {one.apart_sigma:.1f} sigma" for one in checked.against)
     return Row(
         "The car park's own association is verified",
@@ -227,26 +220,18 @@ def choose(trials: Sequence[Trial]) -> str:
 
     A wrong association that is verified counts as ten right ones refused.
     """
-    grid = [
-        (apart, several)
-        for apart in (0.3, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5)
-        for several in (2, 3, 4, 5)
-    ]
+    grid = list(product((0.3, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5), (2, 3, 4, 5)))
     wrong = np.array([one.wrong for one in trials])
     refused = np.array([[_refused(one, *point) for point in grid] for one in trials])
-    folds = np.arange(len(trials)) % 5
-    missed, turned = 0, 0
-    for fold in range(5):
-        test = folds == fold
-        loss = 10 * (~refused & wrong[:, None])[~test].sum(axis=0)
-        best = int(np.argmin(loss + (refused & ~wrong[:, None])[~test].sum(axis=0)))
-        missed += int(np.sum(~refused[test, best] & wrong[test]))
-        turned += int(np.sum(refused[test, best] & ~wrong[test]))
-    loss = 10 * (~refused & wrong[:, None]).sum(axis=0) + (refused & ~wrong[:, None]).sum(axis=0)
-    chosen = grid[int(np.argmin(loss))]
+    missed, turned = ~refused & wrong[:, None], refused & ~wrong[:, None]
+    loss, fold = 10 * missed + turned, np.arange(len(trials)) % 5
+    best = np.array([int(np.argmin(loss[fold != k].sum(axis=0))) for k in range(5)])[fold]
+    held_out = np.arange(len(trials)), best
+    apart, several = grid[int(np.argmin(loss.sum(axis=0)))]
     return (
-        f"apart {chosen[0]} sigma, several {chosen[1]}; held out: {missed} of {wrong.sum()} wrong "
-        f"ones verified, {turned} of {np.sum(~wrong)} right ones refused"
+        f"apart {apart} sigma, several {several}; held out: {missed[held_out].sum()} of "
+        f"{wrong.sum()} wrong ones verified, {turned[held_out].sum()} of {np.sum(~wrong)} right "
+        "ones refused"
     )
 
 
@@ -255,18 +240,8 @@ def _refused(one: Trial, apart: float, several: int) -> bool:
     return len(far) >= several or any(v.excess <= 0.0 for v in far)
 
 
-def main() -> None:
-    """Print the table, or the constants that are chosen."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--choose", type=int, metavar="SEEDS")
-    given = parser.parse_args()
-    if given.choose is not None:
-        print(choose(simulated_trials(range(given.choose))))
-    else:
-        print_table(rows(given.quick, given.data))
-
-
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, quick=False, data=DATA, choose=int)
+    if asked.choose is None:
+        sys.exit(print_table(rows(asked.quick, asked.data)))
+    print(choose(simulated_trials(range(asked.choose))))

@@ -11,11 +11,7 @@ a sound filter is not accused there, a broken one is found. --table prints every
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,14 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.coverage import Coverage, coverage, figures_of, wrong
-from benchmarks.sound_drives import extreme_log, sound_run
+from benchmarks.drives import extreme_log, sound_run, steering, without_noise
+from benchmarks.script import options, print_head, print_row
 from benchmarks.trust_row import Row, print_table
 from comparisons.config import EkfConfig, Filter, RunConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.faults.fault import with_state
 from comparisons.jobs.run import Modified, compare, compare_prepared
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.solve import solve
@@ -88,16 +84,14 @@ def _alarms(quick: bool) -> Iterator[Row]:
             readings = [one.reading for sensor in c.consistency.sensors for one in sensor.nis]
             outside += len(readings) - readings.count("plausible")
             nis += len(readings)
-            overconfident += (
-                c.consistency.smoothed is not None and len(c.consistency.smoothed.overconfident) > 0
-            )
+            smoothed = c.consistency.smoothed
+            overconfident += smoothed is not None and len(smoothed.overconfident) > 0
         share = outside / nis
         yield Row(
             f"a sound filter is not blamed, true and stated noise {scale:g} times the document's",
             f"disagree 0 of {seeds}, surer than the smoother 0, NIS outside its band 5 %",
             f"disagree {outcomes['disagree']}, unverified {outcomes['unverified']}, surer "
-            f"{overconfident}, "
-            f"NIS outside {100.0 * share:.1f} %",
+            f"{overconfident}, NIS outside {100.0 * share:.1f} %",
             outcomes["agree"] == seeds
             and not overconfident
             and abs(share - 0.05) < 3.0 * _deviation(seeds),
@@ -137,12 +131,9 @@ def _without_noise() -> Iterator[Row]:
 
 def _refused(log: Log) -> Row:
     """A stop leaves two directions without noise."""
-    odometry = log.odometry
-    if not isinstance(odometry, SteeringOdometry):
-        raise TypeError("the simulated vehicle steers")
-    still = (odometry.time_s >= 4.0) & (odometry.time_s < 6.0)
-    speed, steering = (np.where(still, 0.0, c) for c in (odometry.speed_mps, odometry.steering_rad))
-    stopped = replace(log, odometry=replace(odometry, speed_mps=speed, steering_rad=steering))
+    still = (log.odometry.time_s >= 4.0) & (log.odometry.time_s < 6.0)
+    speed, angle = (np.where(still, 0.0, control) for control in steering(log).controls)
+    stopped = replace(log, odometry=replace(steering(log), speed_mps=speed, steering_rad=angle))
     try:
         compare(stopped)
     except InputError as error:
@@ -228,37 +219,22 @@ def _losing(share: float) -> type[KalmanState]:
     return Losing
 
 
-def without_noise(log: Log) -> Log:
-    """The log with its controls' noise alone."""
-    odometry = log.odometry
-    if not isinstance(odometry, SteeringOdometry):
-        raise TypeError("the simulated vehicle steers")
-    noise = replace(odometry.noise, variance_rate_position=0.0, variance_rate_heading=0.0)
-    return replace(log, odometry=replace(odometry, noise=noise))
-
-
 def print_bands(quick: bool) -> None:
     """Print every band of both worlds, those that are wrong marked."""
     for world, table in tables(quick).items():
         off = {one.name for one in wrong(table)}
         print(f"\n{world}, {table[0].runs} drives\n")
-        print("| figure | nominal | found | p |\n|---|---|---|---|")
+        print_head("figure", "nominal", "found", "p")
         for one in table:
             mark = " **" if one.name in off else ""
-            print(f"| {one.name} | {one.nominal:.4g} | {one.found:.4f} | {one.p_value:.2g}{mark} |")
-
-
-def main() -> None:
-    """Print the table of promises."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--table", action="store_true", help="every band")
-    options = parser.parse_args()
-    if options.table:
-        print_bands(options.quick)
-        print()
-    print_table(rows(options.quick))
+            print_row(
+                one.name, f"{one.nominal:.4g}", f"{one.found:.4f}", f"{one.p_value:.2g}{mark}"
+            )
+    print()
 
 
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, quick=False, table=False)
+    if asked.table:
+        print_bands(asked.quick)
+    sys.exit(print_table(rows(asked.quick)))

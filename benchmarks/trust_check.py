@@ -11,11 +11,7 @@ and formats, other filters, and smoothers. --table prints every grade with its f
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -23,12 +19,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.defects import shows
-from benchmarks.exports import EXPORTS, FEEDS, with_joint
+from benchmarks.exports import EXPORTS, FEEDS, with_landmarks, with_poses
+from benchmarks.script import options, present
 from benchmarks.trust_row import Row, print_table
 from comparisons.adapters import filter_variants
 from comparisons.adapters.ekf_factory import settle
@@ -50,9 +47,12 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Index, wrap_angle
 
 QUICK_S = 30.0
+NO_COVARIANCES: dict[str, Any] = {"landmark_covariance": None, "joint_covariance": None}
+"""Of the map."""
+NO_MAP = {"landmark": None, "landmark_id": None, **NO_COVARIANCES}
 
 
 class Case(NamedTuple):
@@ -180,54 +180,28 @@ class Cases:
     def _exports(self) -> Iterator[Case]:
         right = self.right
         bare = ExternalEstimate(time_s=right.time_s, pose=right.pose)
-        yield Case(
-            "no covariances",
-            True,
-            lambda: replace(
-                right, pose_covariance=None, landmark_covariance=None, joint_covariance=None
+        whole = single(right)
+        last, backwards = len(right.time_s) - 1, np.arange(len(present(right.landmark)))[::-1]
+        for name, given in (
+            ("no covariances", replace(right, pose_covariance=None, **NO_COVARIANCES)),
+            ("no joint covariance", replace(right, joint_covariance=None)),
+            ("no map", replace(right, **NO_MAP)),
+            ("another order of landmarks", with_landmarks(right, backwards)),
+            ("headings between -pi and pi", replace(right, pose=wrapped(right.pose))),
+            ("stored in single precision", whole),
+            (
+                "covariances in single precision",
+                replace(whole, pose=right.pose, landmark=right.landmark),
             ),
-            True,
-        )
-        yield Case("no joint covariance", True, lambda: replace(right, joint_covariance=None), True)
-        yield Case(
-            "no map",
-            True,
-            lambda: replace(
-                right,
-                landmark=None,
-                landmark_id=None,
-                landmark_covariance=None,
-                joint_covariance=None,
-            ),
-            True,
-        )
-        yield Case("another order of landmarks", True, lambda: backwards(right), True)
-        yield Case(
-            "headings between -pi and pi",
-            True,
-            lambda: replace(
-                right, pose=np.column_stack((right.pose[:, :2], wrapped(right.pose[:, 2])))
-            ),
-            True,
-        )
-        yield Case("stored in single precision", True, lambda: single(right), True)
-        yield Case(
-            "covariances in single precision",
-            True,
-            lambda: replace(single(right), pose=right.pose, landmark=right.landmark),
-            True,
-        )
-        yield Case("every fifth pose", True, lambda: thinned(right), True)
+            ("every fifth pose", with_poses(right, np.union1d(np.arange(0, last, 5), last))),
+        ):
+            yield Case(name, True, partial(replace, given), True)
         yield Case("at every odometry sample", True, self._at_samples, True)
         yield Case("resampled between poses", True, lambda: resampled(right))
         for name in FORMATS:
             yield Case(f"a {name} file", True, partial(from_file, bare, name), True)
-        yield Case(
-            "TUM with six decimals",
-            True,
-            lambda: replace(bare, time_s=np.round(bare.time_s, 6), pose=np.round(bare.pose, 6)),
-            True,
-        )
+        rounded_path = replace(bare, time_s=np.round(bare.time_s, 6), pose=np.round(bare.pose, 6))
+        yield Case("TUM with six decimals", True, lambda: rounded_path, True)
 
     def _at_samples(self) -> ExternalEstimate:
         run = run_reference(self.log, self.timeline, self.config)
@@ -241,42 +215,16 @@ class Cases:
             return ExternalEstimate.of(solve(self.log, config).estimate)
 
         yield Case("smoother", True, smoothed, True)
-        yield Case(
-            "smoother, its path alone",
-            True,
-            lambda: replace(
-                smoothed(),
-                landmark=None,
-                landmark_id=None,
-                landmark_covariance=None,
-                joint_covariance=None,
-                pose_covariance=None,
-                information=None,
-            ),
-            True,
-        )
+        path = partial(replace, pose_covariance=None, information=None, **NO_MAP)
+        yield Case("smoother, its path alone", True, lambda: path(smoothed()), True)
         yield Case("smoother, dogleg", True, lambda: smoothed(optimiser="dogleg"), True)
         yield Case("iSAM2", True, lambda: smoothed(method="isam2"))
         yield Case("fixed lag", True, lambda: smoothed(method="fixed-lag"))
 
 
-def backwards(given: ExternalEstimate) -> ExternalEstimate:
-    """Landmarks from the last to the first."""
-    if given.landmark is None or given.landmark_id is None or given.joint_covariance is None:
-        raise ValueError("the estimate is not whole")
-    count = len(given.landmark)
-    rows = 3 + 2 * np.arange(count)[::-1, None] + np.arange(2)
-    rows = np.concatenate((np.arange(3), rows.ravel()))
-    return with_joint(
-        replace(given, landmark=given.landmark[::-1], landmark_id=given.landmark_id[::-1]),
-        given.joint_covariance[np.ix_(rows, rows)],
-    )
-
-
-def wrapped(angle: Array) -> Array:
-    """Between -pi and pi."""
-    found: Array = np.angle(np.exp(1j * angle))
-    return found
+def wrapped(pose: Array) -> Array:
+    """Poses (K, 3) with headings between -pi and pi."""
+    return np.column_stack((pose[:, :2], wrap_angle(pose[:, 2])))
 
 
 def single(given: ExternalEstimate) -> ExternalEstimate:
@@ -284,19 +232,6 @@ def single(given: ExternalEstimate) -> ExternalEstimate:
     names = ("pose", "landmark", "pose_covariance", "landmark_covariance", "joint_covariance")
     found = {name: getattr(given, name).astype(np.float32).astype(float) for name in names}
     return replace(given, **found)
-
-
-def thinned(given: ExternalEstimate) -> ExternalEstimate:
-    """Every fifth pose, and the last."""
-    rows = np.unique(np.append(np.arange(0, len(given.time_s), 5), len(given.time_s) - 1))
-    if given.pose_covariance is None:
-        raise ValueError("the estimate has no covariances")
-    return replace(
-        given,
-        time_s=given.time_s[rows],
-        pose=given.pose[rows],
-        pose_covariance=given.pose_covariance[rows],
-    )
 
 
 def resampled(given: ExternalEstimate) -> ExternalEstimate:
@@ -389,14 +324,6 @@ def rows(quick: bool = False, *, table: bool = False) -> list[Row]:
     return summary(found, "simulated-loop, noise 0.3")
 
 
-def main() -> None:
-    """Print the rows, and with --table all grades."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    print_table(rows(options.quick, table=options.table))
-
-
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, quick=False, table=False)
+    sys.exit(print_table(rows(asked.quick, table=asked.table)))

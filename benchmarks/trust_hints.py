@@ -6,16 +6,13 @@
 A stranger's filter (benchmarks.strangers) is given one fault at a time, its trace is checked, and
 the hint is judged: right, general (none, or the general advice), or wrong. A part of a hint that is
 neither the fault nor a consequence of it makes the whole hint wrong. --log adds a real log, such as
-the car park's; --list prints every hint.
+the car park's; --list prints every hint on faults whose names hold the word, or that the hints
+never saw.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -24,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fault_logs import open_case
+from benchmarks.drives import open_case
+from benchmarks.script import options
 from benchmarks.stranger_faults import FORGETFUL, HELD_OUT, HINTS, Fault
 from benchmarks.strangers import Car, Ekf, Single, read_log
 from benchmarks.strangers import Log as Read
@@ -246,25 +244,11 @@ def rows(quick: bool = False, folder: str = "") -> list[Row]:
     return table
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--log", default="", help="a real log's folder")
-    parser.add_argument("--only", default="", help="faults whose name holds this")
-    parser.add_argument("--list", action="store_true")
-    parser.add_argument("--held-out", action="store_true", help="faults the hints never saw")
-    options = parser.parse_args()
-    cases = [simulated(), *([recorded(options.log)] if options.log else [])]
-    faults = [
-        fault for fault in (HELD_OUT if options.held_out else HINTS) if options.only in fault.name
-    ]
-    if options.list:
-        print(judge_hints(cases, faults, listed=True))
-        print(judge_precisions(cases, listed=True))
-    else:
-        print_table(rows(options.quick, options.log))
-
-
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, quick=False, log="", only="", list=False, held_out=False)
+    if not asked.list:
+        sys.exit(print_table(rows(asked.quick, asked.log)))
+    logs = [simulated(), *([recorded(asked.log)] if asked.log else [])]
+    chosen = [one for one in (HELD_OUT if asked.held_out else HINTS) if asked.only in one.name]
+    print(judge_hints(logs, chosen, listed=True))
+    print(judge_precisions(logs, listed=True))

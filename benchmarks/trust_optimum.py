@@ -1,22 +1,17 @@
 """No wrong minimum is called verified, and nearly every right one is: 200 many-basin logs.
 
-    python -m benchmarks.trust_optimum [--each 34] [--quick]
+    python -m benchmarks.trust_optimum [--each 34] [--list]
 
 The lowest error of a log is the least of ours, of the optimum begun at the truth, and of a long
 search: 40 random starts optimised to the end and initialised again from where landmarks of the best
 are moved across the path at random. A verified minimum above it is wrong. `times` is the processor
 time of our search over that of one tracked start with its optimiser, which is what a solve was
-before.
+before. --list prints every log that is not verified in place of the table.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import time
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -24,6 +19,8 @@ import gtsam
 import numpy as np
 
 from benchmarks.many_basins import CLASSES, World
+from benchmarks.script import options
+from benchmarks.timing import timed
 from benchmarks.trust_row import Row, print_table
 from graphslam.ambiguity import landmark_modes
 from graphslam.graph_builder import build_graph, from_values, to_values
@@ -94,12 +91,8 @@ def long_search(world: World, graph: gtsam.NonlinearFactorGraph, seed: int) -> f
 def examine(world: World, seed: int) -> Outcome:
     """Solve one log both ways."""
     graph = build_graph(world.problem)
-    begun_s = time.process_time()
-    descend(graph, track(world.problem, graph)[0])
-    single_s = time.process_time() - begun_s
-    begun_s = time.process_time()
-    result = smooth(world.problem, {})
-    whole_s = time.process_time() - begun_s
+    _, single_s = timed(lambda: descend(graph, track(world.problem, graph)[0]))
+    result, whole_s = timed(smooth, world.problem, {})
     optimality = result.optimality
     return Outcome(
         world,
@@ -119,9 +112,9 @@ def outcomes(each: int) -> Iterator[Outcome]:
             yield examine(make(seed), seed)
 
 
-def rows(quick: bool = False) -> list[Row]:
+def rows(quick: bool = False, each: int = EACH) -> list[Row]:
     """The lines for the table of trust."""
-    ended = list(outcomes(2 if quick else EACH))
+    ended = list(outcomes(2 if quick else each))
     fit = [one for one in ended if not one.misfit]
     verified = sum(one.verified for one in fit)
     wrong = sum(one.wrong for one in ended)
@@ -159,25 +152,19 @@ def rows(quick: bool = False) -> list[Row]:
     ]
 
 
-def main() -> None:
-    """Print each log that is not verified, then the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=_AS_WRITTEN)
-    parser.add_argument("--each", type=int, default=EACH)
-    parser.add_argument("--list", action="store_true", help="every log that is not verified")
-    given = parser.parse_args()
-    if given.list:
-        for one in outcomes(given.each):
-            if one.wrong or not one.found or not one.verified:
-                print(
-                    f"{one.world.name:<16} {'WRONG' if one.wrong else ''} error {one.error:.3f} "
-                    f"lowest {one.lowest:.3f} times {one.times:.1f} {one.lacks}",
-                    flush=True,
-                )
-        return
-    print_table(rows())
+def print_unverified(each: int) -> None:
+    """Print each log that is not verified."""
+    for one in outcomes(each):
+        if one.wrong or not one.found or not one.verified:
+            print(
+                f"{one.world.name:<16} {'WRONG' if one.wrong else ''} error {one.error:.3f} "
+                f"lowest {one.lowest:.3f} times {one.times:.1f} {one.lacks}",
+                flush=True,
+            )
 
-
-_AS_WRITTEN = argparse.RawDescriptionHelpFormatter
 
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, each=EACH, list=False)
+    if not asked.list:
+        sys.exit(print_table(rows(each=asked.each)))
+    print_unverified(asked.each)

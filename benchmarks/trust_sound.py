@@ -2,19 +2,16 @@
 
     python -m benchmarks.trust_sound [--quick] [--list]
 
-Drives of the log doctor, with three kinds of odometry, through `run`; traces of the filters in
+Drives with three kinds of odometry through `run`; traces of the filters in
 examples/audit through `audit`; graphs whose edges are drawn from their information through `solve`.
 A cause, a fault, a reading of the edges or a note on them counts as an accusation. What else stands
-beside a verdict is counted; --list prints both.
+beside a verdict is counted; --list prints both. --quick takes a tenth of each. The exit code is 1
+where a sound input is accused.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
+import sys
 import tempfile
 from collections.abc import Iterator
 from importlib import import_module
@@ -23,8 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.audit_faults import FILTERS, MORE
-from benchmarks.log_doctor import sound, travelled
+from benchmarks.audit_faults import FILTERS
+from benchmarks.odometry_drives import sound, travelled
+from benchmarks.script import options
 from benchmarks.trust_row import Row, print_table
 from comparisons.audit.audit import audit
 from comparisons.checks.optimum import misfit_remarks
@@ -58,7 +56,7 @@ def of_logs(count: int) -> Iterator[Said]:
 def of_traces(each: int) -> Iterator[Said]:
     """`audit` of filters that others wrote."""
     with tempfile.TemporaryDirectory() as folder:
-        for name in (*FILTERS, *MORE):
+        for name in (*FILTERS, "filterpy_ukf"):
             for seed in range(_FIRST_SEED, _FIRST_SEED + each):
                 path = Path(folder) / f"{name}-{seed}"
                 import_module(f"examples.audit.{name}").record(path, seed)
@@ -131,14 +129,6 @@ def rows(quick: bool = False, *, listed: bool = False) -> Iterator[Row]:
     yield row("graphs of poses by `solve`", list(of_graphs(GRAPHS // part)), listed)
 
 
-def main() -> None:
-    """Print the table; exit with 1 where a sound input is accused."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a tenth of each")
-    parser.add_argument("--list", action="store_true", help="what is said of each")
-    given = parser.parse_args()
-    raise SystemExit(0 if print_table(rows(given.quick, listed=given.list)) else 1)
-
-
 if __name__ == "__main__":
-    main()
+    asked = options(__doc__, quick=False, list=False)
+    sys.exit(print_table(rows(asked.quick, listed=asked.list)))

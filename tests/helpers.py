@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.script import present as present
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.adapters.time_window import cut_log
@@ -26,12 +27,6 @@ from tests.ekf_reference.numerics import relative_error as relative_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-
-
-def present(value: T | None) -> T:
-    """A value that has to be there."""
-    assert value is not None
-    return value
 
 
 def altered(thing: T, path: str, value: object) -> T:

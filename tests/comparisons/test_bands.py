@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.coverage import Coverage, Figure, coverage, figures_of, wrong
-from benchmarks.sound_drives import sound_log, sound_run
+from benchmarks.drives import sound_log, sound_run
 from comparisons import innovations, statistics
 from comparisons.checks.consistency import consistency
 from comparisons.checks.consistency.consistency import Consistency, check_consistency

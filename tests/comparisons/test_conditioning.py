@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.sound_drives import far_away, fine, standing_still
+from benchmarks.drives import far_away, fine, standing_still
 from comparisons.checks.agreement import EXACT
 from comparisons.config import RunConfig
 from comparisons.errors import InputError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.defects import CAUSES, named_first, run_defect, shows
-from benchmarks.fault_logs import LOGS, open_case
+from benchmarks.drives import LOGS, open_case
 from comparisons.errors import InputError
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Fault, Method, Plant, observing, stepping

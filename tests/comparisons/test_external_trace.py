@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.defects import CAUSES, named_first, shows
-from benchmarks.fault_logs import open_case
+from benchmarks.drives import open_case
 from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.strangers import Course, simulate
 from comparisons.adapters.filter_loop import FilterObservers
 from comparisons.adapters.filter_variants import RobocentricState
 from comparisons.arrays import Array
@@ -32,6 +31,7 @@ from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
 from slamcheck import load_log
+from tests.comparisons.newcomers import Course, simulate
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.ekf_reference.numerics import central_difference
 from tests.helpers import present, without_labels

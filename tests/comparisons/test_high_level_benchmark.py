@@ -1,26 +1,15 @@
 """What benchmarks/high_level.py concludes from paired drives."""
 
-import importlib
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from benchmarks.high_level import judged
 from tests.helpers import Array
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SEEDS = 30
 _DRAWN = np.random.default_rng(4).standard_normal((SEEDS, 6))
 NOISE = (_DRAWN - _DRAWN.mean(axis=0)) / _DRAWN.std(axis=0, ddof=1)
 """Mean exactly 0, standard deviation exactly 1."""
-
-
-@pytest.fixture
-def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[[Array], list[str]]:
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    function: Callable[[Array], list[str]] = importlib.import_module("high_level").judged
-    return function
 
 
 def by_t(*t: float) -> Array:
@@ -29,7 +18,7 @@ def by_t(*t: float) -> Array:
     return changes
 
 
-def test_a_gain_is_named_and_a_loss_is_none(judged: Callable[[Array], list[str]]) -> None:
+def test_a_gain_is_named_and_a_loss_is_none() -> None:
     assert judged(by_t(-4.0, -1.0, 0.0, -5.0))[-1] == (
         "gain significant at 5 %: heading, 2nd; position [m]"
     )
@@ -37,7 +26,7 @@ def test_a_gain_is_named_and_a_loss_is_none(judged: Callable[[Array], list[str]]
     assert judged(by_t())[-1] == "no significant gain"
 
 
-def test_four_errors_are_four_chances(judged: Callable[[Array], list[str]]) -> None:
+def test_four_errors_are_four_chances() -> None:
     """T of 2.05 has a p of 0.05 with 29 degrees of freedom, of 2.66 a quarter of that."""
     assert judged(by_t(-2.6))[-1] == "no significant gain"  # broken: each tested alone
     assert judged(by_t(-2.7))[-1] == "gain significant at 5 %: position [m]"
@@ -46,7 +35,7 @@ def test_four_errors_are_four_chances(judged: Callable[[Array], list[str]]) -> N
     assert judged(by_t(0.0, 0.0, 0.0, 0.0, -9.0))[-1] == "no significant gain"  # NEES is no error
 
 
-def test_the_figures_of_a_line(judged: Callable[[Array], list[str]]) -> None:
+def test_the_figures_of_a_line() -> None:
     change = by_t(-2.045)
     mean, sigma, t, p, less, _, of, sign = judged(change)[1].removeprefix("position [m]").split()
     assert float(mean) == pytest.approx(-2.045 / np.sqrt(SEEDS), abs=1e-4)

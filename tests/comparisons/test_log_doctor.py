@@ -1,6 +1,6 @@
 """Logs whose units, signs, columns or sigmas are wrong are told from sound ones before any filter.
 
-Of a sensor that is scaled, offset or late the number is named. `benchmarks/log_doctor.py` has more.
+Of a sensor that is scaled, offset or late the number is named.
 """
 
 import re
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.log_doctor import EVERY, POSES, WHEELS, drive
+from benchmarks.odometry_drives import drive
 from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.checks.diagnosis.log_fit import explains, log_fits
 from comparisons.jobs.run import Comparison
@@ -22,6 +22,7 @@ from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from graphslam.optimum import ChiSquareTest
 from tests.commands import slamcheck
+from tests.comparisons.damaged_logs import EVERY, POSES, WHEELS
 from tests.helpers import compared, present, without_labels
 
 CASES = {

@@ -8,20 +8,8 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.stranger_faults import Plant, instead, late_odometry, noisy, scaled, spread
-from benchmarks.strangers import (
-    Arc,
-    Array,
-    ByRow,
-    Course,
-    Cubature,
-    Ekf,
-    Euler,
-    UnscentedHalf,
-    UnscentedThird,
-    read_log,
-    simulate,
-)
+from benchmarks.stranger_faults import Plant, changed, instead, scaled, spread
+from benchmarks.strangers import Array, Ekf, read_log
 from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
@@ -33,6 +21,16 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve
 from comparisons.words import Cause
+from tests.comparisons.newcomers import (
+    Arc,
+    ByRow,
+    Course,
+    Cubature,
+    Euler,
+    UnscentedHalf,
+    UnscentedThird,
+    simulate,
+)
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.helpers import present
 
@@ -111,8 +109,10 @@ FAULTS: dict[str, Plant] = {
     "the innovation z - h(x) is not wrapped": instead(
         expected=unwrapped, residual=lambda own, ekf, z, expected: z - expected
     ),
-    "the odometry is used 1 sample late, the first twice": instead(predict=late_odometry),
-    "R holds sigma": noisy(lambda ekf, k, r: np.sqrt(r)),
+    "the odometry is used 1 sample late, the first twice": instead(
+        predict=lambda own, ekf, number, *args: own(max(number - 1, 0), *args)
+    ),
+    "R holds sigma": changed("noise", lambda ekf, k, r: np.sqrt(r)),
     "R is 0.317 times the log's": scaled("noise", 0.317),
 }
 
@@ -190,7 +190,9 @@ def test_a_fault_that_comes_late_is_dated(folder: Path, tmp_path: Path, traced: 
     def smaller(ekf: Ekf, k: int, r: Array) -> Array:
         return 0.3 * r if ekf.log.used_s[k] >= since else r
 
-    noisy(smaller)(Newcomer)(read_log(folder)).run().write(tmp_path / "mine", traced=traced)
+    changed("noise", smaller)(Newcomer)(read_log(folder)).run().write(
+        tmp_path / "mine", traced=traced
+    )
     found = slamcheck.check(log, tmp_path / "mine", require="like")
     left, rows = found.departure, np.flatnonzero(log.measurements.time_s == since)
     assert found.outcome == "disagree"

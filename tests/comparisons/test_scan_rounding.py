@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from benchmarks.scan_rounding import SIZE, Difference, difference, outcome, perturbed
+from benchmarks.scan_car_park import SIZE, perturbed
 from comparisons.adapters import beam_noise
 from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.time_window import cut_log
@@ -25,12 +25,13 @@ from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
 from ekf_reference.scan_matching import scan_shape, search
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from tests.comparisons.scan_rounding import Difference, difference, outcome
 from tests.ekf_reference.scan_matching.scenes import BEAMS, COURT, LASER, YARD, ranges
 from tests.helpers import Array
 from tests.scenarios import scenario
 
 SIGMAS = 1e-6
-"""Greatest difference of z and results; see benchmarks/scan_rounding.py for what it is."""
+"""Greatest difference of z and results; see tests/comparisons/scan_rounding.py for what it is."""
 CAR_PARK_SIGMAS = 1e-4
 """The same where many directions are nearly open."""
 STRETCH_S = 3.0

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.strangers import Course, Ekf, read_log, simulate
+from benchmarks.strangers import Ekf, read_log
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event
 from comparisons.errors import InputError
@@ -26,6 +26,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.trace.reader import Trace
+from tests.comparisons.newcomers import Course, simulate
 from tests.helpers import present, simulated
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_filter" / "my_ekf.py"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.log_doctor import drive
+from benchmarks.odometry_drives import drive
 from comparisons.checks.diagnosis.departure import departure_from
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate

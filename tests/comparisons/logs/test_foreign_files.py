@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.log_doctor import travelled
+from benchmarks.odometry_drives import travelled
 from comparisons.logs.log import Log
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.readers import read_log

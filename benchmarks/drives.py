@@ -1,4 +1,4 @@
-"""Drives on which the filter is sound: linear ones, and some that cost double precision digits."""
+"""Simulated logs: on which planted defects show, on which a filter is sound, and extreme ones."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.script import present
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.jobs.run import Comparison, compare
@@ -13,10 +14,42 @@ from comparisons.logs.log import Log, Positions, Truth
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 
+LOGS = ("loop", "closing", "uneven", "positions")
+ANTENNA_M = (0.6, -0.3)
+"""Little enough for a filter without it to accept most positions."""
 SCALE = 0.01
 """Of the documents' noise: sigmas of 1.5 mm and 0.01 degree, where nothing is curved."""
 _POSITION_SIGMA_M = 0.3
 _POSITION_EVERY = 40
+_KEPT = 0.8
+_CLOSING_S = 35.0
+
+
+def steering(log: Log) -> SteeringOdometry:
+    """Return the odometry of the simulated vehicle, which steers."""
+    assert isinstance(log.odometry, SteeringOdometry)
+    return log.odometry
+
+
+def open_case(name: str, seed: int, loop_s: float = 60.0) -> tuple[Log, EkfConfig]:
+    """A log of LOGS, and what a filter is to do with it.
+
+    loop: long enough for the heading to pass pi. closing: until its beginning is in view again.
+    uneven: the same, with a fifth of the odometry's records lost. positions: the same with a
+    position of an antenna every second, to be fused. Raises ValueError for another name.
+    """
+    if name not in LOGS:
+        raise ValueError(f"log '{name}' is unknown, expected one of {', '.join(LOGS)}")
+    rng = np.random.default_rng(seed)
+    log = simulate(rng, Drive(loop_s=loop_s, extra_s=_CLOSING_S if name == "closing" else 0.0))
+    if name == "positions":
+        log = _with_positions(log, rng, _POSITION_SIGMA_M, ANTENNA_M)
+        return log, EkfConfig(association="known", gps="on")
+    if name == "uneven":
+        kept = rng.random(len(log.odometry.time_s)) < _KEPT
+        kept[0] = True
+        log = replace(log, odometry=log.odometry.chosen(kept))
+    return log, EkfConfig(association="known")
 
 
 def sound_log(seed: int, seconds: float, *, positions: bool = False) -> Log:
@@ -25,25 +58,33 @@ def sound_log(seed: int, seconds: float, *, positions: bool = False) -> Log:
     Without stabilisation noise, which the simulated vehicle has none of. positions: one a second.
     """
     rng = np.random.default_rng(seed)
-    log = simulate(rng, Drive(noise_scale=SCALE, loop_s=seconds))
-    odometry, truth = _steering(log), log.truth.poses
-    if truth is None:
-        raise TypeError("the simulated vehicle has true poses")
-    noise = replace(odometry.noise, variance_rate_position=0.0, variance_rate_heading=0.0)
-    log = replace(log, odometry=replace(odometry, noise=noise))
-    if not positions:
-        return log
-    rows, sigma = slice(_POSITION_EVERY, None, _POSITION_EVERY), SCALE * _POSITION_SIGMA_M
-    place = truth.pose[rows, :2]
-    measured = place + sigma * rng.standard_normal(place.shape)
-    covariance = np.broadcast_to(sigma**2 * np.eye(2), (len(place), 2, 2))
-    return replace(log, positions=Positions(truth.time_s[rows], measured, covariance))
+    log = without_noise(simulate(rng, Drive(noise_scale=SCALE, loop_s=seconds)))
+    return _with_positions(log, rng, SCALE * _POSITION_SIGMA_M) if positions else log
 
 
 def sound_run(seed: int, seconds: float, *, positions: bool = False) -> Comparison:
     """Both estimators over one of these drives."""
     config = RunConfig(ekf=EkfConfig(gps="on" if positions else "off"))
     return compare(sound_log(seed, seconds, positions=positions), config)
+
+
+def without_noise(log: Log) -> Log:
+    """The log without stabilisation noise, its controls' noise alone."""
+    noise = replace(steering(log).noise, variance_rate_position=0.0, variance_rate_heading=0.0)
+    return replace(log, odometry=replace(steering(log), noise=noise))
+
+
+def _with_positions(
+    log: Log, rng: np.random.Generator, sigma_m: float, antenna_m: tuple[float, float] = (0.0, 0.0)
+) -> Log:
+    """With one position a second, of an antenna beside the vehicle's origin."""
+    rows, truth = slice(_POSITION_EVERY, None, _POSITION_EVERY), present(log.truth.poses)
+    pose, (forward, left) = truth.pose[rows], antenna_m
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    arm = np.column_stack((cos * forward - sin * left, sin * forward + cos * left))
+    place = pose[:, :2] + arm + sigma_m * rng.standard_normal((len(pose), 2))
+    covariance = np.broadcast_to(sigma_m**2 * np.eye(2), (len(pose), 2, 2))
+    return replace(log, positions=Positions(truth.time_s[rows], place, covariance, antenna_m))
 
 
 def extreme_log(seed: int) -> tuple[str, Log]:
@@ -70,7 +111,7 @@ def extreme_log(seed: int) -> tuple[str, Log]:
 
 def standing_still(log: Log, from_s: float, still_s: float) -> Log:
     """The vehicle stands still once, for so long, and is as unsure of it as of its speed."""
-    odometry = _steering(log)
+    odometry = steering(log)
     stand = int(np.searchsorted(odometry.time_s, from_s))
     moved = {
         name: np.insert(getattr(odometry, name), stand, value)
@@ -102,11 +143,5 @@ def fine(log: Log) -> Log:
 
 def _known_to(log: Log, sigma: float) -> Log:
     """With controls stated to be known so well, or badly."""
-    noise = replace(_steering(log).noise, sigma_speed_mps=sigma, sigma_turn=sigma)
-    return replace(log, odometry=replace(_steering(log), noise=noise))
-
-
-def _steering(log: Log) -> SteeringOdometry:
-    if not isinstance(log.odometry, SteeringOdometry):
-        raise TypeError("the simulated vehicle steers")
-    return log.odometry
+    noise = replace(steering(log).noise, sigma_speed_mps=sigma, sigma_turn=sigma)
+    return replace(log, odometry=replace(steering(log), noise=noise))
