@@ -1,5 +1,7 @@
 """The covariance recursion against dense matrices of the whole state."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -90,8 +92,9 @@ def test_the_block_is_named_of_which_gain_or_correction_is_wrong(
     replay, h, r, times = start(), np.eye(2), spread(2), np.array(factors)
     event = Update(1, None, "s", ("a",), np.array([1.0, -2.0]), h, r, True, None, None)
     right = replay.copy().update(event)
-    given = {"gain": times[:, None] * right.gain, "correction": times * right.applied}[part]
-    wrong = event._replace(**{part: given})
+    of = {"gain": times[:, None] * right.gain, "correction": times * right.applied}
+    given: dict[str, Any] = {part: of[part]}
+    wrong = event._replace(**given)
     fused = replay.update(wrong)
     (found,) = check_gain(wrong, fused, np.sqrt(replay.covariance.diagonal()), replay.layout, 1e-6)
     assert found.blocks == ("a",)
