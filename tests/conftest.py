@@ -12,9 +12,10 @@ from packaging.version import Version
 from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import open_log
 from graphslam.scan.libraries import open3d
-from tests.fresh_environment import fresh_environment
+from tests.fresh_environment import ROOT, fresh_environment
 from tests.graphslam.skips import pytest_runtest_call as pytest_runtest_call
 from tests.graphslam.skips import pytest_runtest_setup as pytest_runtest_setup
+from tests.processes import built
 from tests.shelves import changed_files, due, shelf_of
 
 # What is drawn in continuous integration is always the same; at night it is new, and more.
@@ -100,3 +101,13 @@ def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if Version(version("setuptools")) < Version("77"):
         pytest.skip("setuptools is older than 77, which builds the wheel")
     return fresh_environment(tmp_path_factory.mktemp("fresh"))
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the built pages."""
+    pytest.importorskip("mkdocs")
+    folder = tmp_path_factory.mktemp("site")
+    done = built(ROOT, folder)
+    assert done.returncode == 0, done.stderr
+    return folder

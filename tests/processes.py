@@ -62,3 +62,9 @@ def compiled(
     strict = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
     works(compiler, *strict, "main.cpp", "-o", "main", *flags, cwd=folder)
     return folder / "main"
+
+
+def built(project: Path, site: Path) -> subprocess.CompletedProcess[str]:
+    """Build the documentation of a project into a folder."""
+    words = ("-m", "mkdocs", "build", "-f", project / "mkdocs.yml", "-d", site)
+    return python(*words, NO_MKDOCS_2_WARNING="1")

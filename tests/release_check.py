@@ -84,20 +84,21 @@ def wheel_faults(names: set[str], wanted: set[str]) -> list[str]:
     """
     info = f"slamcheck-{version()}.dist-info/"
     wanted = wanted | {f"{info}licenses/LICENSE", f"{info}entry_points.txt"}
-    more = {name for name in names - wanted if not name.startswith(info)}
-    faults = [f"the wheel lacks {name}" for name in sorted(wanted - names)]
-    return faults + [f"the wheel has {name}" for name in sorted(more)]
+    return _faults("wheel", names, wanted, info)
 
 
 def sdist_faults(names: set[str], wanted: set[str]) -> list[str]:
     """Return what a source distribution lacks, and what does not belong into it."""
-    top = f"slamcheck-{version()}/"
-    inside = {name.removeprefix(top) for name in names}
-    wanted = wanted | set(BESIDE)
-    made = {"PKG-INFO", "setup.cfg"}
-    more = {one for one in inside - wanted - made if not one.startswith("slamcheck.egg-info/")}
-    faults = [f"the source distribution lacks {one}" for one in sorted(wanted - inside)]
-    return faults + [f"the source distribution has {one}" for one in sorted(more)]
+    inside = {name.removeprefix(f"slamcheck-{version()}/") for name in names}
+    made = ("PKG-INFO", "setup.cfg", "slamcheck.egg-info/")
+    return _faults("source distribution", inside, wanted | set(BESIDE), made)
+
+
+def _faults(what: str, names: set[str], wanted: set[str], made: str | tuple[str, ...]) -> list[str]:
+    """made: beginnings of what a build adds."""
+    more = {name for name in names - wanted if not name.startswith(made)}
+    faults = [f"the {what} lacks {name}" for name in sorted(wanted - names)]
+    return faults + [f"the {what} has {name}" for name in sorted(more)]
 
 
 def names_in(archive: Path) -> set[str]:

@@ -3,7 +3,6 @@
 import importlib.util
 import re
 import shutil
-import subprocess
 from collections.abc import Iterator
 from functools import cache
 from html.parser import HTMLParser
@@ -16,7 +15,7 @@ from pydantic import BaseModel
 
 import slamcheck
 from comparisons.cli.app import COMMANDS
-from tests.processes import ROOT, python
+from tests.processes import ROOT, built
 
 pytestmark = pytest.mark.slow
 
@@ -29,20 +28,6 @@ def script(name: str) -> ModuleType:
     found = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(found)
     return found
-
-
-def built(project: Path, site: Path) -> subprocess.CompletedProcess[str]:
-    words = ("-m", "mkdocs", "build", "-f", project / "mkdocs.yml", "-d", site)
-    return python(*words, NO_MKDOCS_2_WARNING="1")
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("mkdocs")
-    folder = tmp_path_factory.mktemp("site")
-    done = built(ROOT, folder)
-    assert done.returncode == 0, done.stderr
-    return folder
 
 
 def test_every_page_is_built(site: Path) -> None:

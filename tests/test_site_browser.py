@@ -13,8 +13,6 @@ from typing import Any
 import pytest
 
 from tests.comparisons.browser import browse
-from tests.processes import ROOT
-from tests.test_docs import built
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 WIDTHS = (1400, 390)
@@ -95,14 +93,6 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
     def log_message(self, *_: Any) -> None:
         """Nothing."""
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("mkdocs")
-    folder = tmp_path_factory.mktemp("site")
-    assert built(ROOT, folder).returncode == 0
-    return folder
 
 
 def served(folder: Path) -> Iterator[str]:

@@ -460,13 +460,6 @@ def test_without_gtsam_one_line_says_where_it_is_to_be_had(tmp_path: Path) -> No
     assert done.stderr.splitlines()[-1].startswith("ModuleNotFoundError: graphslam needs gtsam")
 
 
-def test_an_estimate_without_its_option_is_recognised() -> None:
-    from comparisons.cli.app import _meant
-
-    stray = "Got unexpected extra argument(s) (mine.tum)"
-    assert _meant("run", stray) == _meant("check", "No such option: --x") == ""
-
-
 def what_it_took(folder: Path) -> None:
     """Logs and estimates of two drives whose folders have the same names."""
     for name, seed in (("a", 0), ("b", 3)):

@@ -13,7 +13,7 @@ from comparisons.experiments.reproduction.drives import watched_run
 from comparisons.jobs.run import Comparison, Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace
-from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
+from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.ekf_reference.filters.test_compressed import NoTheta
 from tests.helpers import compared, simulated
 
@@ -61,13 +61,6 @@ def test_looking_on_is_the_same_drive() -> None:
     run = run_ekf(log, build_timeline(log), settle(EkfConfig(), log))
     last = list(watched_run(log))[-1][1]
     assert np.array_equal(last.state.landmarks, run.estimate.landmark)
-
-
-def test_the_configuration_builds_it() -> None:
-    log = simulated(seed=1, loop_s=2.0)
-    ekf = build_ekf(log, EkfConfig(filter="compressed", association="known"), Trace())
-    assert isinstance(ekf, CompressedEkf)
-    assert isinstance(ekf.state, CompressedState)
 
 
 def test_the_configuration_sets_what_it_spares() -> None:

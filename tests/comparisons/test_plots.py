@@ -122,6 +122,10 @@ def test_the_map_holds_both_trajectories(run: Comparison, axis: Axes) -> None:
         assert_allclose(line(axis, f"{name} trajectory"), estimate.pose[:, :2], rtol=1e-12)
         assert_allclose(line(axis, f"{name} landmarks, 3 sigma"), estimate.landmark, rtol=1e-12)
     assert "EKF and smoother" in axis.get_title()
+    assert {text.get_text() for text in present(axis.get_legend()).get_texts()} == {
+        "truth", "true landmarks", "smoother trajectory", "EKF trajectory", "dead reckoning",
+        "smoother landmarks, 3 sigma", "EKF landmarks, 3 sigma",
+    }  # fmt: skip
 
 
 def test_fastslam_has_a_look_on_the_map(run: Comparison, axis: Axes) -> None:

@@ -17,7 +17,6 @@ from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.clock import Clock
 from comparisons.report.destination import check_free, default_folder
-from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import write_job_folder
 from comparisons.report.marks import ellipses
 from comparisons.report.models import Result
@@ -40,17 +39,6 @@ def test_ellipses_lie_at_their_sigmas() -> None:
     offset = ellipses(centre, covariance, 3.0) - centre[:, None]
     distance = np.einsum("lpi,lij,lpj->lp", offset, np.linalg.inv(covariance), offset)
     assert np.allclose(distance, 9.0)
-
-
-def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
-    figure = map_figure(comparison)
-    legend = present(figure.axes[0].get_legend())
-    assert {text.get_text() for text in legend.get_texts()} == {
-        "truth", "true landmarks", "smoother trajectory", "EKF trajectory", "dead reckoning",
-        "smoother landmarks, 3 sigma", "EKF landmarks, 3 sigma",
-    }  # fmt: skip
-    joint = comparison.ekf.estimate.joint_covariance
-    assert np.array_equal(comparison.ekf.estimate.landmark_covariances()[3], joint[9:11, 9:11])
 
 
 @pytest.mark.parametrize("stream", ["prior", "odometry", "measurements", "positions"])

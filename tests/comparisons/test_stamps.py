@@ -1,14 +1,12 @@
 """Stamps of a stranger's log: to the nanosecond, jittered, since 1970, with fewer decimals."""
 
-import math
 import runpy
 import sys
-import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -17,8 +15,10 @@ import pytest
 import slamcheck
 from benchmarks.strangers import Ekf, read_log
 from comparisons.arrays import Array
-from comparisons.audit.run_trace import write_event
+from comparisons.audit.run_trace import write_event, write_run
 from comparisons.errors import InputError
+from comparisons.estimates.folder import write_estimate
+from comparisons.estimates.trace_file import TRACE
 from comparisons.jobs.check import ExternalCheck
 from comparisons.logs import stamps
 from comparisons.logs.log import Log
@@ -27,7 +27,7 @@ from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.trace.reader import Trace
 from tests.comparisons.newcomers import Course, simulate
-from tests.helpers import present, simulated
+from tests.helpers import compared, present, simulated
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_filter" / "my_ekf.py"
 
@@ -89,6 +89,20 @@ def test_stamps_resolved_to_a_tenth_of_a_millisecond_would_not_be(
         checked(written("jittered", seed=1), tmp_path)
 
 
+def retimed(folder: Path, change: Callable[[str], Decimal]) -> None:
+    """Hand in an estimate with other times, in its trajectory and in its trace."""
+    path = folder / "trajectory.tum"
+    rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
+    path.write_text("".join(f"{change(time)} {rest}\n" for time, rest in rows))
+    exact = list(Trace(folder / TRACE))
+    (folder / TRACE).unlink()
+    with slamcheck.Recorder(folder / TRACE) as record:
+        for event in exact:
+            if event.time_s is not None:
+                record.at(float(change(repr(event.time_s))))
+            write_event(event, record)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("decimals", [6, 9])
 def test_an_estimate_with_fewer_decimals_is_of_the_same_instants(
@@ -96,17 +110,7 @@ def test_an_estimate_with_fewer_decimals_is_of_the_same_instants(
 ) -> None:
     log = written("jittered", seed=2)
     checked(log, tmp_path)
-    path = tmp_path / "mine" / "trajectory.tum"
-    rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
-    path.write_text("".join(f"{float(time):.{decimals}f} {rest}\n" for time, rest in rows))
-    trace = tmp_path / "mine" / "filter.trace"
-    exact = list(Trace(trace))
-    trace.unlink()
-    with slamcheck.Recorder(trace) as record:
-        for event in exact:
-            if event.time_s is not None:
-                record.at(round(event.time_s, decimals))
-            write_event(event, record)
+    retimed(tmp_path / "mine", lambda time: round(Decimal(time), decimals))
     found = slamcheck.check(slamcheck.load_log(tmp_path / "log"), tmp_path / "mine")
     assert (found.outcome, found.grade.value) == ("agree", "equal")
 
@@ -273,82 +277,19 @@ def bag(path: Path, seed: int) -> Path:
     return types.write(path, messages)
 
 
-def filtered_bag(folder: Path, origin: str) -> Path:
-    """Run the example filter on a log of displacements; times as the bag has them, or the log.
-
-    origin: of the times, as text; empty for the log's.
-    """
-    example = runpy.run_path(str(EXAMPLE))
-    odometry, seen = (
-        example["read"](folder / f"{name}.csv") for name in ("odometry", "measurements")
-    )
-    meta = tomllib.loads((folder / "log.toml").read_text())
-    out = folder.parent / f"mine-{origin}"
-    out.mkdir()
-    stamp = Decimal(origin or "0")
-    path, spread = [], []
-    with slamcheck.Recorder(out / "filter.trace") as record:
-        ekf = example["MyEkf"](
-            meta["prior"],
-            {"sigma_speed_mps": 0.0, "sigma_turn": 0.0, "variance_rate_position": 0.0,
-             "variance_rate_heading": 0.0},
-            record,
-        )  # fmt: skip
-        times = [meta["prior"]["time_s"], *odometry["time_s"].tolist()]
-        for step, t in enumerate(times):
-            record.at(float(stamp + Decimal(repr(t))))
-            if step:
-                displaced(ekf, {name: column[step - 1] for name, column in odometry.items()})
-            for k in np.flatnonzero(seen["time_s"] == t):
-                z = np.array([seen["range_m"][k], seen["bearing_rad"][k]])
-                sigma = seen["sigma_range_m"][k], seen["sigma_bearing_rad"][k]
-                ekf.observe(int(k), int(seen["landmark"][k]), z, np.diag(sigma) ** 2)
-            x, y, heading = ekf.x[:3].tolist()
-            turn = f"{math.sin(0.5 * heading)!r} {math.cos(0.5 * heading)!r}"
-            path.append(f"{stamp + Decimal(repr(t))} {x!r} {y!r} 0 0 0 {turn}")
-            spread.append(ekf.p[:3, :3].copy())
-        record.snapshot(ekf.p)
-    (out / "trajectory.tum").write_text("\n".join(path))
-    places = [
-        f"{label},{float(ekf.x[i])},{float(ekf.x[i + 1])}"
-        for label, i in ekf.landmark_index.items()
-    ]
-    (out / "landmarks.csv").write_text("\n".join(["id,x_m,y_m", *places]))
-    np.savez(out / "covariances.npz", pose=np.array(spread), last_pose_and_landmarks=ekf.p)
-    (out / "estimate.toml").write_text('version = 1\ninformation = "filtered"\nestimator = "ekf"\n')
-    return out
-
-
-def displaced(ekf: Any, row: dict[str, float]) -> None:
-    """Predict by a displacement, whose covariance is in the arriving frame."""
-    c, s = np.cos(ekf.x[2]), np.sin(ekf.x[2])
-    departed = ekf.x[:3].copy()
-    east = c * row["dx_m"] - s * row["dy_m"]
-    north = s * row["dx_m"] + c * row["dy_m"]
-    f = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
-    ekf.x[:3] += east, north, row["dheading_rad"]
-    turn = np.eye(3)
-    c, s = np.cos(ekf.x[2]), np.sin(ekf.x[2])
-    turn[:2, :2] = [[c, -s], [s, c]]
-    upper = np.zeros((3, 3))
-    upper[np.triu_indices(3)] = [row[f"cov_{k}"] for k in ("00", "01", "02", "11", "12", "22")]
-    q = turn @ (upper + np.triu(upper, 1).T) @ turn.T
-    ekf.p[:3] = f @ ekf.p[:3]
-    ekf.p[:, :3] = ekf.p[:, :3] @ f.T
-    ekf.p[:3, :3] += q
-    ekf.record.predict(f, q, ["pose"], point=departed, after=ekf.x[:3])
-
-
 @pytest.mark.parametrize("since_1970", [False, True])
 def test_a_right_filter_is_equal_on_a_ros_bag(since_1970: bool, tmp_path: Path) -> None:
-    """With the times of the log folder, and with those of the bag."""
+    """With the times of the log folder, and with those of the bag, which no float holds."""
     pytest.importorskip("rosbags")
     log = slamcheck.load_log(bag(tmp_path / "drive", seed=4))
     origin = log.provenance["time_origin_s"]
     assert origin.startswith("1700000000.")
     assert np.any(np.round(log.odometry.time_s, 6) != log.odometry.time_s)
-    write_log_folder(log, tmp_path / "log")
-    mine = filtered_bag(tmp_path / "log", origin if since_1970 else "")
-    found = slamcheck.check(log, mine)
+    run = compared(log).ekf
+    write_estimate(run.estimate, tmp_path)
+    write_run(run, tmp_path / TRACE)
+    if since_1970:
+        retimed(tmp_path, lambda time: Decimal(origin) + Decimal(time))
+    found = slamcheck.check(log, tmp_path)
     assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
     assert present(found.trace).agreement.model.within(1e-6)

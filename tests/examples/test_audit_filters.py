@@ -17,7 +17,6 @@ from comparisons.audit.audit import audit
 from comparisons.trace.events import Clone, Event, Prior, Snapshot, Update
 from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted
-from tests.examples.replay import departures
 from tests.helpers import present
 
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}
@@ -28,7 +27,7 @@ AUDITED = {
     "msckf": ("lone-clone", "conditioned", "wrong-removed", "cross-predicted", "no-krk"),
     "navlie_se3": ("cross-stale", "cross-dropped", "not-updated", "no-noise", "half-gain"),
 }
-ROUNDING, LAST_BITS, SEEN = 1e-9, 1e-14, 1e-5
+ROUNDING, LAST_BITS = 1e-9, 1e-14
 SEED = 3
 
 
@@ -64,12 +63,6 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return Recorded(module.record, module.FAULTS, folder / "sound", faulty, AUDITED[name])
 
 
-@pytest.mark.slow
-def test_a_sound_trace_replays_to_rounding(recorded: Recorded) -> None:
-    assert max(apart for _, apart in departures(recorded.sound)) < ROUNDING
-    assert 400 < Trace(recorded.sound).counts.events < 1000
-
-
 def test_fewer_snapshots_are_of_the_same_run(recorded: Recorded, tmp_path: Path) -> None:
     recorded.record(tmp_path / "some", SEED, snapshots=5)
     every, some = (
@@ -85,12 +78,8 @@ def test_fewer_snapshots_are_of_the_same_run(recorded: Recorded, tmp_path: Path)
 def test_every_fault_shows_at_its_event(recorded: Recorded) -> None:
     assert len(recorded.faults) == 10
     assert sum(not fault.statistical for fault in recorded.faults.values()) >= 8
-    for name, fault in recorded.faults.items():
-        path, planted = recorded.faulty[name]
+    for name, (path, planted) in recorded.faulty.items():
         assert _first_difference(recorded.sound, path) in _seen(path, planted.event), name
-        departed = [event for event, apart in departures(path) if not apart <= SEEN]
-        seen = () if fault.statistical else _seen(path, planted.event)
-        assert departed[0] in seen if seen else not departed, name
         _names_what_is_there(planted, path)
 
 
@@ -98,6 +87,8 @@ def test_the_audit_passes_a_sound_trace(recorded: Recorded) -> None:
     result = audit(recorded.sound)
     assert result.sound, result.findings
     assert result.nees is not None
+    assert present(result.largest_gap).worst < ROUNDING
+    assert 400 < result.events < 1000
 
 
 @pytest.mark.slow

@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.audit.audit import audit
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.replay import Replay
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.audit.spurious import Learnt, learnt
-from comparisons.faults.catalogue import NAMED
-from comparisons.jobs.run import Comparison, Modified
+from comparisons.jobs.run import Comparison
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.trace.events import Augment, Directions, Event, Prior, Remove, Snapshot, Update
 from comparisons.trace.reader import Trace
@@ -205,17 +203,3 @@ def test_a_wrong_covariance_at_the_end_would_show() -> None:
     at = next(i for i, e in enumerate(events) if isinstance(e, Update))
     replay, last = at_the_end(events[:at] + events[at + 1 :])
     assert not np.allclose(block(replay, last), last.covariance, rtol=1e-6, atol=0.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [None, "cross-covariance dropped at prediction", "vehicle dropped at augmentation"]
-)
-def test_audit_and_run_measure_the_same_algebra_gap(name: str | None, tmp_path: Path) -> None:
-    planted = [Modified(present(one.plant)) for one in NAMED if one.name == name]
-    c = compared(simulated(seed=3, loop_s=40.0), *planted)
-    write_run(c.ekf, tmp_path / "run.trace")
-    found = audit(tmp_path / "run.trace")
-    right, gap = c.agreement.algebra.covariance, present(found.largest_gap).covariance
-    assert gap == pytest.approx(right, rel=1e-9, abs=1e-9)
-    assert (right < 1e-9) == found.sound == (name is None)

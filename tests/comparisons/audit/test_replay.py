@@ -1,5 +1,7 @@
 """The covariance recursion against dense matrices of the whole state."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -76,17 +78,27 @@ def test_an_error_that_is_known_is_no_part_of_the_next_innovation() -> None:
     assert replay.mean == pytest.approx([2.0 / 3.0 - 1.0 / 3.0], rel=1e-12)
 
 
-def test_a_gain_is_wrong_where_it_is_off_by_what_counts_beside_the_rest() -> None:
-    """A block whose gain is off by 1e-5 of the gain's size is not named beside one off by half."""
-    replay, h, r, residual = start(), np.eye(2), spread(2), np.ones(2)
-    event = Update(1, None, "s", ("a",), residual, h, r, True, None, None)
-    kalman = replay.copy().update(event).gain
-    gain = kalman * np.repeat((0.5, 1.0, 1.0 + 1e-5), (2, 1, 3))[:, None]
-    given = Update(1, None, "s", ("a",), residual, h, r, True, None, gain)
-    fused = replay.update(given)
-    sigma = np.sqrt(replay.covariance.diagonal())
-    (found,) = check_gain(given, fused, sigma, replay.layout, 1e-6)
+@pytest.mark.parametrize(
+    ("part", "factors", "said"),
+    [
+        ("gain", (0.5, 0.5, 1.0, *[1.0 + 1e-5] * 3), ""),  # beside half, 1e-5 is not named
+        ("correction", (2.0, 2.0, *[1.0] * 4), "twice"),
+        ("correction", (2.0, 3.0, *[1.0] * 4), "by other than"),
+    ],
+)
+def test_the_block_is_named_of_which_gain_or_correction_is_wrong(
+    part: str, factors: tuple[float, ...], said: str
+) -> None:
+    replay, h, r, times = start(), np.eye(2), spread(2), np.array(factors)
+    event = Update(1, None, "s", ("a",), np.array([1.0, -2.0]), h, r, True, None, None)
+    right = replay.copy().update(event)
+    of = {"gain": times[:, None] * right.gain, "correction": times * right.applied}
+    given: dict[str, Any] = {part: of[part]}
+    wrong = event._replace(**given)
+    fused = replay.update(wrong)
+    (found,) = check_gain(wrong, fused, np.sqrt(replay.covariance.diagonal()), replay.layout, 1e-6)
     assert found.blocks == ("a",)
+    assert said in found.what
 
 
 @pytest.mark.parametrize("factor", [0.25, 1.0, 3.0])
@@ -97,21 +109,6 @@ def test_the_noise_that_a_gain_is_of_is_found(factor: float) -> None:
     assert noise_factor(gain, across, seen, r) == pytest.approx(factor)
     assert noise_factor(across @ np.linalg.inv(seen - 0.1 * r), across, seen, r) is None
     assert noise_factor(across @ np.linalg.inv(seen + spread(2)), across, seen, r) is None
-
-
-@pytest.mark.parametrize(("times", "said"), [((2.0, 2.0), "twice"), ((2.0, 3.0), "by other than")])
-def test_a_correction_is_made_twice_where_all_of_it_is(
-    times: tuple[float, float], said: str
-) -> None:
-    replay, h, r = start(), np.eye(2), spread(2)
-    event = Update(1, None, "s", ("a",), np.array([1.0, -2.0]), h, r, True, None, None)
-    right = replay.copy().update(event).applied
-    given = event._replace(correction=right * np.concatenate((times, np.ones(4))))
-    fused = replay.update(given)
-    sigma = np.sqrt(replay.covariance.diagonal())
-    (found,) = check_gain(given, fused, sigma, replay.layout, 1e-6)
-    assert found.blocks == ("a",)
-    assert said in found.what
 
 
 def test_the_largest_difference_of_two_blocks_may_stand_on_either_side() -> None:

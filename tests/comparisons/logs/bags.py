@@ -48,6 +48,29 @@ VISION1 = [
     VISION2[4],
 ]
 """Definitions of vision_msgs, which the package does not have."""
+_MESSAGE = 2
+"""Of the package's kinds of fields: 1 is a number or a text, 3 and 4 are several."""
+
+
+def header(time: Seconds, frame: str) -> dict[str, Any]:
+    ns = round(time * SECOND)
+    return {"stamp": {"sec": ns // SECOND, "nanosec": ns % SECOND}, "frame_id": frame}
+
+
+def turned(yaw: float, roll: float = 0.0) -> dict[str, float]:
+    c, s, a, b = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(roll / 2), np.sin(roll / 2)
+    return {"x": c * b, "y": s * b, "z": s * a, "w": c * a}
+
+
+def at(x: float, y: float) -> dict[str, Any]:
+    return {"position": {"x": x, "y": y}, "orientation": turned(0.0)}
+
+
+def planar(spread: Any) -> np.ndarray:
+    """(36,) of variances of x, y and heading, or of their covariance."""
+    six, rows = np.zeros((6, 6)), (0, 1, 5)
+    six[np.ix_(rows, rows)] = np.diag(spread) if np.ndim(spread) == 1 else spread
+    return six.ravel()
 
 
 class Types:
@@ -60,14 +83,25 @@ class Types:
             definition = "geometry_msgs/TransformStamped[] transforms\n"
             self.store.register(get_types_from_msg(definition, "tf2_msgs/msg/TFMessage"))
 
-    def make(self, name: str, *values: Any, **named: Any) -> Any:
-        return self.store.types[name](*values, **named)
+    def make(self, kind: str, **given: Any) -> Any:
+        """A message; mappings stand for messages within it, and what is not given is empty."""
+        fields = dict(self.store.fielddefs[kind][1])
+        assert given.keys() <= fields.keys(), kind
+        values = {name: self._value(of, given.get(name)) for name, of in fields.items()}
+        return self.store.types[kind](**values)
 
-    def header(self, time: Seconds, frame: str) -> Any:
-        ns = round(time * SECOND)
-        stamp = self.make("builtin_interfaces/msg/Time", ns // SECOND, ns % SECOND)
-        counter = {"seq": 0} if self.is_ros1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **counter)
+    def _value(self, of: Any, given: Any) -> Any:
+        """What a field of a type holds: a message, a list of messages, numbers or a text."""
+        node, what = int(of[0]), of[1]
+        if node == _MESSAGE and (given is None or isinstance(given, dict)):
+            return self.make(what, **(given or {}))
+        if node > _MESSAGE and int(what[0][0]) == _MESSAGE:
+            return [self._value(what[0], one) for one in given or ()]
+        if given is not None:
+            return given
+        if node > _MESSAGE:
+            return np.zeros(what[1], what[0][1][0])
+        return "" if what[0] == "string" else 0
 
     def laser(self, time: float, frame: str = "laser", **changes: Any) -> Message:
         values: dict[str, Any] = {
@@ -82,57 +116,40 @@ class Types:
             "intensities": np.array((5, 4, 3, np.nan, 1), np.float32),
             **changes,
         }
-        header = self.header(time, frame)
         kind = "sensor_msgs/msg/LaserScan"
-        return "/scan", kind, time, self.make(kind, header=header, **values)
-
-    def quaternion(self, yaw: float, roll: float = 0.0) -> Any:
-        c, s, a, b = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(roll / 2), np.sin(roll / 2)
-        return self.make("geometry_msgs/msg/Quaternion", c * b, s * b, s * a, c * a)
+        return "/scan", kind, time, self.make(kind, header=header(time, frame), **values)
 
     def odometry(self, time: Seconds, x: float, yaw: float = 0.0, **changes: Any) -> Message:
-        name = "geometry_msgs/msg/"
-        point = self.make(name + "Point", x, changes.pop("y", 0.0), 0.3)
-        turn = changes.pop("quaternion", None) or self.quaternion(yaw)
-        pose = self.make(name + "Pose", point, turn)
-        zero = self.make(name + "Vector3", 0.0, 0.0, 0.0)
-        spread = [np.zeros(36), np.zeros(36)]
-        for values, key in zip(spread, ("pose_covariance", "twist_variances"), strict=True):
-            reported = np.asarray(changes.pop(key, np.zeros(3)), dtype=float)
-            six = np.zeros((6, 6))
-            six[np.ix_((0, 1, 5), (0, 1, 5))] = (
-                reported if reported.ndim == 2 else np.diag(reported)
-            )
-            values[:] = six.ravel()
-        kind = "nav_msgs/msg/Odometry"
+        """changes: y, quaternion, pose_covariance, twist_variances."""
+        kind, still = "nav_msgs/msg/Odometry", np.zeros(3)
+        pose = {
+            "position": {"x": x, "y": changes.get("y", 0.0), "z": 0.3},
+            "orientation": changes.get("quaternion", turned(yaw)),
+        }
         message = self.make(
             kind,
-            self.header(time, "odom"),
-            "base",
-            self.make(name + "PoseWithCovariance", pose, spread[0]),
-            self.make(name + "TwistWithCovariance", self.make(name + "Twist", zero, zero),
-                      spread[1]),
-        )  # fmt: skip
+            header=header(time, "odom"),
+            child_frame_id="base",
+            pose={"pose": pose, "covariance": planar(changes.get("pose_covariance", still))},
+            twist={"covariance": planar(changes.get("twist_variances", still))},
+        )
         return "/odom", kind, time, message
 
     def static(self, *transforms: tuple[str, str, float, float, float, float]) -> Message:
         """Parent, child, forward, left, yaw and roll of each."""
-        name = "geometry_msgs/msg/"
+        kind = "tf2_msgs/msg/TFMessage"
         stamped = [
-            self.make(
-                name + "TransformStamped",
-                self.header(0.0, parent),
-                child,
-                self.make(
-                    name + "Transform",
-                    self.make(name + "Vector3", x, y, 0.5),
-                    self.quaternion(yaw, roll),
-                ),
-            )
+            {
+                "header": header(0.0, parent),
+                "child_frame_id": child,
+                "transform": {
+                    "translation": {"x": x, "y": y, "z": 0.5},
+                    "rotation": turned(yaw, roll),
+                },
+            }
             for parent, child, x, y, yaw, roll in transforms
         ]
-        kind = "tf2_msgs/msg/TFMessage"
-        return "/tf_static", kind, 0.0, self.make(kind, stamped)
+        return "/tf_static", kind, 0.0, self.make(kind, transforms=stamped)
 
     def fix(
         self, time: float, latitude: float, longitude: float, status: int = 0, **changes: Any
@@ -140,51 +157,23 @@ class Types:
         kind = "sensor_msgs/msg/NavSatFix"
         message = self.make(
             kind,
-            self.header(time, "gps"),
-            self.make("sensor_msgs/msg/NavSatStatus", status, 1),
-            latitude,
-            longitude,
-            changes.get("altitude", 50.0),
-            np.diag(changes.get("variances", (0.04, 0.04, 0.1))).ravel(),
-            changes.get("kind", 2),
+            header=header(time, "gps"),
+            status={"status": status, "service": 1},
+            latitude=latitude,
+            longitude=longitude,
+            altitude=changes.get("altitude", 50.0),
+            position_covariance=np.diag(changes.get("variances", (0.04, 0.04, 0.1))).ravel(),
+            position_covariance_type=changes.get("kind", 2),
         )
         return "/fix", kind, time, message
 
-    def pose(self, x: float, y: float, z: float = 0.0) -> Any:
-        name = "geometry_msgs/msg/"
-        return self.make(name + "Pose", self.make(name + "Point", x, y, z), self.quaternion(0.0))
-
     def markers(self, time: float, *points: tuple[int, float, float], **changes: Any) -> Message:
         """Number, x and y of each sphere."""
-        kind = "visualization_msgs/msg/Marker"
-        empty = {field: self._empty(of) for field, of in self.store.fielddefs[kind][1]}
-        found = [
-            self.make(
-                kind,
-                **{
-                    **empty,
-                    "header": self.header(time, changes.get("frame", "base")),
-                    "ns": changes.get("ns", ""),
-                    "id": number,
-                    "type": changes.get("type", 2),
-                    "action": changes.get("action", 0),
-                    "pose": self.pose(x, y),
-                },
-            )
-            for number, x, y in points
-        ]
-        return "/markers", kind + "Array", time, self.make(kind + "Array", found)
-
-    def _empty(self, of: Any) -> Any:
-        """A value of a field that a test does not look at."""
-        kind, (inner, *_) = int(of[0]), of[1] if isinstance(of[1], tuple) else (of[1],)
-        if kind == 1:
-            return "" if inner == "string" else 0
-        if kind == 2:
-            name = str(of[1])
-            fields = self.store.fielddefs[name][1]
-            return self.make(name, **{field: self._empty(one) for field, one in fields})
-        return np.zeros(0, np.uint8) if of[1][0][1] == ("uint8", 0) else []
+        kind = "visualization_msgs/msg/MarkerArray"
+        head = header(time, changes.pop("frame", "base"))
+        more = {"type": 2, **changes}
+        found = [{"header": head, "id": i, "pose": at(x, y), **more} for i, x, y in points]
+        return "/markers", kind, time, self.make(kind, markers=found)
 
     def with_detections(self) -> Types:
         """The same with the types of vision_msgs, of ROS 2's or ROS 1's release."""
@@ -197,32 +186,26 @@ class Types:
         self, time: Seconds, *points: tuple[str, str, float, float], **more: Any
     ) -> Message:
         """Class, id, x and y of each; more: frame, covariance (6, 6), one or of each."""
-        name = "vision_msgs/msg/"
-        header = self.header(time, more.get("frame", "base"))
-        zero = self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+        kind, head = "vision_msgs/msg/Detection3DArray", header(time, more.get("frame", "base"))
         found = []
         spreads = np.broadcast_to(more.get("covariance", np.zeros((6, 6))), (len(points), 6, 6))
-        for (kind, own, x, y), spread in zip(points, spreads.reshape(-1, 36), strict=True):
-            place = self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(x, y), spread)
+        for (label, own, x, y), spread in zip(points, spreads.reshape(-1, 36), strict=True):
+            result: dict[str, Any] = {"pose": {"pose": at(x, y), "covariance": spread}}
             if self.is_ros1:
-                result = self.make(name + "ObjectHypothesisWithPose", int(kind), 0.5, place)
+                result |= {"id": int(label), "score": 0.5}
             else:
-                of = self.make(name + "ObjectHypothesis", kind, 0.5)
-                result = self.make(name + "ObjectHypothesisWithPose", of, place)
-            box = self.make(name + "BoundingBox3D", self.pose(x, y), zero)
+                result["hypothesis"] = {"class_id": label, "score": 0.5}
             named = {} if self.is_ros1 else {"id": own}
-            found.append(
-                self.make(name + "Detection3D", header=header, results=[result], bbox=box, **named)
-            )
-        kind = name + "Detection3DArray"
-        return "/detections", kind, time, self.make(kind, header, found)
+            box = {"center": at(x, y)}
+            found.append({"header": head, "results": [result], "bbox": box, **named})
+        return "/detections", kind, time, self.make(kind, header=head, detections=found)
 
     def cloud(self, time: float, records: np.ndarray, **changes: Any) -> Message:
         """A structured array as the message's points, one row."""
         datatypes = {"f4": 7, "f8": 8, "u4": 6, "u2": 4, "i4": 5}
         assert records.dtype.fields is not None
         fields = [
-            self.make("sensor_msgs/msg/PointField", name, offset, datatypes[dtype.str[1:]], 1)
+            {"name": name, "offset": offset, "datatype": datatypes[dtype.str[1:]], "count": 1}
             for name, (dtype, offset, *_) in records.dtype.fields.items()
         ]
         step = records.dtype.itemsize
@@ -230,7 +213,6 @@ class Types:
             "height": 1,
             "width": len(records),
             "fields": fields,
-            "is_bigendian": False,
             "point_step": step,
             "row_step": step * len(records),
             "data": np.frombuffer(records.tobytes(), np.uint8),
@@ -238,8 +220,7 @@ class Types:
             **changes,
         }
         kind = "sensor_msgs/msg/PointCloud2"
-        header = self.header(time, "lidar")
-        return "/points", kind, time, self.make(kind, header=header, **values)
+        return "/points", kind, time, self.make(kind, header=header(time, "lidar"), **values)
 
     def write(self, path: Path, messages: list[Message], *, mcap: bool = True) -> Path:
         if self.is_ros1:

@@ -212,7 +212,7 @@ BAD: dict[str, tuple[list[Message], str]] = {
     "quaternion": (
         [
             T.laser(1.0),
-            T.odometry(1.0, 0.0, quaternion=T.make("geometry_msgs/msg/Quaternion", 0, 0, 0, 0)),
+            T.odometry(1.0, 0.0, quaternion=T.make("geometry_msgs/msg/Quaternion")),
         ],
         "/odom, message 0: a quaternion is [0.0, 0.0, 0.0, 0.0], expected one of unit length",
     ),

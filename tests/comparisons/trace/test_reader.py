@@ -517,28 +517,28 @@ def test_a_bad_file_is_one_line(trace: Path, name: str) -> None:
     assert said in refused(trace)
 
 
-CONTENTS = {
-    "text": b"number,kind\n0,prior\n",
-    "nothing": b"",
-    "garbage": random.Random(2).randbytes(200_000),  # noqa: S311
+def garbage(seed: int, size: int) -> bytes:
+    return random.Random(seed).randbytes(size)  # noqa: S311
+
+
+NO_SQLITE = ": is not an SQLite file, expected a filter's trace"
+OTHERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "text": (lambda path: path.write_bytes(b"number,kind\n0,prior\n"), NO_SQLITE),
+    "nothing": (lambda path: path.write_bytes(b""), NO_SQLITE),
+    "garbage": (lambda path: path.write_bytes(garbage(2, 200_000)), NO_SQLITE),
+    "garbage behind the head": (
+        lambda path: path.write_bytes(path.read_bytes()[:100] + garbage(3, 131_072 - 100)),
+        ": SQLite cannot read it (",
+    ),
+    "missing": (Path.unlink, ": no such file, expected a filter's trace"),
 }
 
 
-@pytest.mark.parametrize("name", CONTENTS)
+@pytest.mark.parametrize("name", OTHERS)
 def test_another_file_is_one_line(trace: Path, name: str) -> None:
-    trace.write_bytes(CONTENTS[name])
-    assert refused(trace).startswith(": is not an SQLite file, expected a filter's trace")
-
-
-def test_garbage_behind_the_head_is_one_line(trace: Path) -> None:
-    garbage = random.Random(3).randbytes(131_072 - 100)  # noqa: S311
-    trace.write_bytes(trace.read_bytes()[:100] + garbage)
-    assert refused(trace).startswith(": SQLite cannot read it (")
-
-
-def test_a_missing_file_is_one_line(trace: Path) -> None:
-    trace.unlink()
-    assert refused(trace) == ": no such file, expected a filter's trace"
+    make, said = OTHERS[name]
+    make(trace)
+    assert refused(trace).startswith(said)
 
 
 @pytest.mark.parametrize("make", [os.mkdir, os.mkfifo])

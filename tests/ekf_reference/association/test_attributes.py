@@ -13,7 +13,7 @@ from ekf_reference.association.attributes import (
     RememberedAttributes,
     same_tail,
 )
-from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
+from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.measurements import (
     AMBIGUOUS,
@@ -249,7 +249,7 @@ def test_the_gate_holds_what_it_says() -> None:
         measurement = seen(z, np.array([[rng.normal(0.4, np.hypot(0.1, 0.1))]]), 0.1)
         passed += rule.assign(state, MODEL, measurement).tolist() == [0]
         nis = memory.distances(np.zeros(1, dtype=np.intp), measurement).nis[0, 0]
-        misgated += nis + pair(state.local_map(1e3), measurement, [(0, 0)]) <= gate
+        misgated += nis + scenes.joint_nis(state, measurement, ((0, 0),)) <= gate
     assert expected_share(0.9, passed)
     assert not expected_share(0.9, misgated)
 
@@ -277,41 +277,21 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
     z = MODEL.predict(pose, points[which]).z + rng.normal(0.0, SIGMA, (4, 2))
     value = np.where(rng.random((4, 1)) < 0.2, np.nan, rng.normal(diameter[which], 0.1))
     measurements = seen(z, value, 0.1)
-    local = state.local_map(1e3)
-    beside = memory.distances(local.landmark_index, measurements)
-    single = {
-        (i, j): pair(local, measurements, [(i, j)]) + beside.nis[i, j]
-        for i, j in product(range(4), range(5))
-    }
-    allowed = {k: v <= chi2.ppf(0.999, 2 + beside.dof[k]) for k, v in single.items()}
-    least = [
-        min((beside.n[i, j] for j in range(5) if allowed[i, j]), default=0.0) for i in range(4)
-    ]
-    best: tuple[int, float, tuple[int, ...]] = (0, 0.0, (-1,) * 4)
-    for landmark_indices in product(range(-1, 5), repeat=4):
-        pairs = [(i, j) for i, j in enumerate(landmark_indices) if j >= 0]
-        if not pairs or len({j for _, j in pairs}) < len(pairs):
-            continue
-        if not all(allowed[p] for p in pairs):
-            continue
-        position = pair(local, measurements, pairs)
+    beside = memory.distances(np.arange(5), measurements)
+    single = [scenes.joint_nis(state, measurements, (p,)) for p in product(range(4), range(5))]
+    allowed = np.reshape(single, (4, 5)) + beside.nis <= chi2.ppf(0.999, 2 + beside.dof)
+    least = np.where(allowed, beside.n, np.inf).min(axis=1)
+
+    def judge(pairs: scenes.Pairs) -> tuple[float, float, int]:
+        position = scenes.joint_nis(state, measurements, pairs)
+        more = sum(float(beside.n[i, j] - least[i]) for i, j in pairs)
         dof = 2 * len(pairs) + sum(int(beside.dof[p]) for p in pairs)
-        if position + sum(beside.nis[p] for p in pairs) > chi2.ppf(0.999, dof):
-            continue
-        cost = position + sum(beside.n[i, j] - least[i] for i, j in pairs)
-        best = max(best, (len(pairs), -cost, landmark_indices))
+        return position + sum(float(beside.nis[p]) for p in pairs), position + more, dof
+
     rule = JointCompatibility(new_gate=ANYTHING, attributes=memory)
     found = rule.assign(state, MODEL, measurements)
-    assert np.where(found == AMBIGUOUS, -1, found).tolist() == list(best[2])
-
-
-def pair(local: object, measurements: Measurements, pairs: list[tuple[int, int]]) -> float:
-    """Joint nis of the positions of some pairs."""
-    i, j = np.array(pairs).T
-    spread = pair_covariance(local, MODEL, measurements, i, j)  # type: ignore[arg-type]
-    predicted = MODEL.predict(local.pose, local.landmark)  # type: ignore[attr-defined]
-    nu = MODEL.innovation(measurements.z[i], predicted.z[j]).ravel()
-    return float(nu @ np.linalg.solve(spread, nu))
+    expected = scenes.best_pairs(allowed, judge)
+    assert np.where(found == AMBIGUOUS, -1, found).tolist() == expected
 
 
 @pytest.mark.parametrize("kind", [NearestNeighbour, JointCompatibility])

@@ -1,5 +1,3 @@
-from itertools import product
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -7,12 +5,10 @@ from scipy.stats import chi2
 from ekf_reference.association.distances import normalised_distances
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.blocks import stack
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.association import scenes
-from tests.ekf_reference.numerics import point_columns
 
 MODEL = RangeBearing()
 SIGMA = (0.05, 0.005)
@@ -39,19 +35,6 @@ def test_a_row_seen_with_a_turned_heading() -> None:
     assert single.tolist() != truth
 
 
-def joint_nis(state: KalmanState, seen: Measurements, landmark_indices: list[int]) -> float:
-    rows = [i for i, s in enumerate(landmark_indices) if s >= 0]
-    chosen = np.array([landmark_indices[i] for i in rows])
-    predicted = MODEL.predict(state.pose, state.landmarks[chosen])
-    columns = point_columns(chosen)
-    h = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
-    s = h @ state.covariance[np.ix_(columns, columns)] @ h.T
-    for k, i in enumerate(rows):
-        s[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += seen.noise[i]
-    nu = MODEL.innovation(seen.z[rows], predicted.z).ravel()
-    return float(nu @ np.linalg.solve(s, nu))
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_equals_exhaustive_search(seed: int) -> None:
     """The largest jointly compatible set, with the least joint distance, found by trying all."""
@@ -59,19 +42,15 @@ def test_equals_exhaustive_search(seed: int) -> None:
     state = row_of_posts(0.04)
     points = [(10.0, 0.6 * k) for k in rng.choice(np.arange(-3, 4), 4, replace=False)]
     seen = seen_from(float(rng.normal(0, 0.04)), [*points[:3], (10.0 + rng.normal(0, 0.3), 0.3)])
+
+    def judge(pairs: scenes.Pairs) -> tuple[float, float, int]:
+        nis = scenes.joint_nis(state, seen, pairs)
+        return nis, nis, 2 * len(pairs)
+
     nis = normalised_distances(state.local_map(1e3), MODEL, seen).nis
-    options = [[-1, *np.flatnonzero(row <= chi2.ppf(0.999, 2)).tolist()] for row in nis]
-    best: tuple[int, float, list[int]] = (0, 0.0, [-1] * 4)
-    for landmark_indices in product(*options):
-        used = [s for s in landmark_indices if s >= 0]
-        if len(used) > len(set(used)) or not used:
-            continue
-        distance = joint_nis(state, seen, list(landmark_indices))
-        key = (len(used), -distance)
-        if distance <= chi2.ppf(0.999, 2 * len(used)) and key > (best[0], -best[1]):
-            best = (len(used), distance, list(landmark_indices))
     found = JointCompatibility(new_gate=1e9).assign(state, MODEL, seen)
-    assert np.where(found == AMBIGUOUS, -1, found).tolist() == best[2]
+    expected = scenes.best_pairs(nis <= chi2.ppf(0.999, 2), judge)
+    assert np.where(found == AMBIGUOUS, -1, found).tolist() == expected
 
 
 def test_new_and_ambiguous_as_with_the_nearest_neighbour() -> None:

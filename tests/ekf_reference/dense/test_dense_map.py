@@ -187,23 +187,6 @@ def test_data_of_a_vertex_that_leaves_the_map_stay_where_it_was_last() -> None:
     assert accounted(dense)
 
 
-def test_returns_that_wait_in_the_frame_of_a_landmark_vanish_with_it() -> None:
-    waiting = room()
-    dense = dense_map("points", waiting=waiting)
-    drive(dense, view(SQUARE, apart_m=1.0), wall(), wall())  # the shape is not known yet
-    count = len(waiting.points.scan)
-    assert not len(dense.regions.base)
-    assert count > 0
-    gone = SQUARE.copy()
-    gone[2] = np.nan
-    drive(dense, view(gone, apart_m=1.0), wall())
-    assert waiting.counts.vanished > 0
-    assert accounted(dense)
-    drive(dense, view(np.full((4, 2), np.nan)), wall())
-    assert not len(waiting.points.scan)
-    assert accounted(dense)
-
-
 def test_returns_vanish_when_the_two_landmarks_of_their_frame_become_one_place() -> None:
     waiting = room()
     dense = dense_map("points", waiting=waiting)
@@ -236,15 +219,6 @@ def test_a_scan_before_the_first_landmark_and_before_any_update() -> None:
     assert dense.tally.outside == dense.tally.returns == 2 * len(BEARING)
     drive(dense, view(SQUARE), wall())
     assert dense.tally.fused > 0
-    assert accounted(dense)
-
-
-def test_an_overfull_waiting_room_drops_the_oldest_and_says_so() -> None:
-    waiting = room(capacity=50)
-    dense = dense_map("points", waiting=waiting)
-    drive(dense, view(SQUARE, apart_m=1.0), *[wall()] * 4)
-    assert len(waiting.points.scan) == 50
-    assert waiting.counts.dropped > 50
     assert accounted(dense)
 
 

@@ -119,18 +119,6 @@ def test_labels_occur_once_in_a_round() -> None:
     assert [part.tolist() for part in parts] == [[0, 1, 2, 4], [3], [5]]
 
 
-def test_a_misread_label_weighs_as_a_measurement_at_the_gate_and_no_more() -> None:
-    """Not also as one of no landmark: known standing poses, so S is 2 R of the same sensor."""
-    rule = KnownIdentities(gate=9.0, log_unmatched=-7.0)
-    slam = standing(FastSlamOptions(particles=2, association=rule))
-    noise = diagonal_noise(SIGMA[None])
-    for z in ((5.0, 0.1), (25.0, 0.1)):
-        before = slam.log_weight.copy()
-        slam.observe(Measurements(np.array([z]), noise, np.array([3])))
-    size = np.log(np.linalg.det(2.0 * np.pi * 2.0 * noise[0]))
-    np.testing.assert_allclose(slam.log_weight - before, -0.5 * (9.0 + size), rtol=1e-9)
-
-
 def test_a_landmark_that_nobody_has_any_more_gives_its_column_back() -> None:
     """Where it fell below zero in one particle, and the other never had it."""
     maps = ParticleMaps(2)

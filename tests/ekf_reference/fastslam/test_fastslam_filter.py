@@ -362,9 +362,10 @@ def test_a_label_that_occurs_twice_in_a_scan_is_fused_twice() -> None:
 
 
 def test_a_misread_label_is_not_fused_and_counts_as_at_the_gate() -> None:
+    """Not also as a measurement of no landmark."""
     maps = []
     for gate in (20.0, math.inf):
-        slam = standing(FastSlamOptions(particles=5, association=KnownIdentities(gate)))
+        slam = standing(FastSlamOptions(particles=5, association=KnownIdentities(gate, -7.0)))
         noise = diagonal_noise(np.full((1, 2), 0.1))
         for bearing in (0.0, 1.5):
             z = np.array([[4.0, bearing]])
@@ -372,7 +373,8 @@ def test_a_misread_label_is_not_fused_and_counts_as_at_the_gate() -> None:
         maps.append((slam.mixture_map().mean[0], slam.log_evidence))
     np.testing.assert_allclose(maps[0][0], (4.0, 0.0), atol=1e-12)
     assert np.linalg.norm(maps[1][0] - (4.0, 0.0)) > 0.5
-    assert maps[0][1] == pytest.approx(-10.0 - math.log(2.0 * math.pi * 0.02), abs=1e-6)
+    at_the_gate = -10.0 - math.log(2.0 * math.pi * 0.02)
+    assert maps[0][1] == pytest.approx(at_the_gate - 7.0, abs=1e-6)  # of the first scan, once
 
 
 @pytest.mark.parametrize(
