@@ -44,10 +44,16 @@ class ChainEvidence(NamedTuple):
 
 
 def chain_evidence(draws: Array) -> ChainEvidence:
-    """Return the convergence diagnostics of every number of draws (C, N, n).
+    """Return the convergence diagnostics of every number.
 
-    (n,) each, NaN where a number never changes. Source: Vehtari et al. 2021, sections 3 and 4:
-    R-hat is the larger of the rank-normalised split one and that of the folded draws.
+    Args:
+        draws: (C, N, n).
+
+    Returns:
+        (n,) each. NaN where a number never changes.
+
+    Source: Vehtari et al. 2021, sections 3 and 4: R-hat is the larger of the rank-normalised split
+    one and that of the folded draws.
     """
     ranked = _rank_normalised(draws)
     folded = np.abs(draws - np.median(draws, axis=(0, 1)))
@@ -61,7 +67,14 @@ def chain_evidence(draws: Array) -> ChainEvidence:
 
 
 def split_r_hat(draws: Array) -> Array:
-    """Return R-hat (n,) of draws (C, N, n), cut in halves; 1 where all have one distribution."""
+    """Return R-hat of chains cut in halves.
+
+    Args:
+        draws: (C, N, n).
+
+    Returns:
+        (n,), 1 where all halves have one distribution.
+    """
     halves = half_chains(draws)
     count = halves.shape[1]
     within = halves.var(axis=1, ddof=1).mean(axis=0)
@@ -72,10 +85,15 @@ def split_r_hat(draws: Array) -> Array:
 
 
 def effective_sample_size(draws: Array) -> Array:
-    """Return how many independent draws have the same error of the mean as draws (C, N, n).
+    """Return how many independent draws have the same error of the mean.
 
-    (n,), NaN where a number never changes. Source: Vehtari et al. 2021, section 3.2, with Geyer's
-    initial monotone sequence.
+    Args:
+        draws: (C, N, n).
+
+    Returns:
+        (n,), NaN where a number never changes.
+
+    Source: Vehtari et al. 2021, section 3.2, with Geyer's initial monotone sequence.
     """
     size = draws.shape[2]
     blocks = [_effective(half_chains(draws[:, :, i : i + _BLOCK])) for i in range(0, size, _BLOCK)]
@@ -83,9 +101,13 @@ def effective_sample_size(draws: Array) -> Array:
 
 
 def monte_carlo_error(values: Array) -> Array:
-    """Return the standard errors (...) of means over all values (C, N, ...), by half chains' means.
+    """Return the standard errors of means over all draws, by the means of half chains.
 
-    They are right where a half chain is longer than the chains remember.
+    Args:
+        values: (C, N, ...) of every draw.
+
+    Returns:
+        (...); right where a half chain is longer than the chains remember.
     """
     means = half_chains(values).mean(axis=1)
     error: Array = means.std(axis=0, ddof=1) / np.sqrt(len(means))
@@ -93,7 +115,14 @@ def monte_carlo_error(values: Array) -> Array:
 
 
 def estimated(values: Array) -> Estimated:
-    """Return the mean of one number over all values (C, N), with its standard error."""
+    """Return the mean of one number over all draws, with its standard error.
+
+    Args:
+        values: (C, N).
+
+    Returns:
+        Mean and error.
+    """
     return Estimated(float(values.mean()), float(monte_carlo_error(values)))
 
 

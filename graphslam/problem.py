@@ -114,7 +114,14 @@ class SlamProblem:
         return len(self.increment) + 1
 
     def same_as(self, other: SlamProblem) -> bool:
-        """Return whether another problem, other, is equal, number for number; NaN equals itself."""
+        """Compare with another problem, number for number; NaN equals itself.
+
+        Args:
+            other: The other problem.
+
+        Returns:
+            Whether both are equal.
+        """
         return _same(self, other)
 
     @property
@@ -147,7 +154,14 @@ class SlamProblem:
         return Layout(self.pose_count, self.landmark_count, self.pose_landmarks.count).size
 
     def prefix(self, pose_count: int) -> SlamProblem:
-        """Return the problem of the first pose_count poses; landmarks keep their numbers."""
+        """Return the problem up to an early pose.
+
+        Args:
+            pose_count: How many of the first poses stay.
+
+        Returns:
+            A smaller problem; landmarks keep their numbers, also those that are no longer measured.
+        """
         seen, closed, merged = self.pose_landmarks, self.loop_closures, self.pose_landmarks.merges
         merges = _some(merged, merged.pose < pose_count)
         return replace(
@@ -159,7 +173,15 @@ class SlamProblem:
         )
 
     def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
-        """Return the problem with some of its measurements (M,) and positions (G,), by masks."""
+        """Return the problem with some of its measurements.
+
+        Args:
+            measurements: (M,) which measurements of point landmarks stay.
+            positions: (G,) which absolute positions stay.
+
+        Returns:
+            The same poses and landmarks, fewer measurements.
+        """
         return replace(
             self,
             measurement_pose=self.measurement_pose[measurements],

@@ -13,14 +13,25 @@ Mask = NDArray[np.bool_]
 
 
 def wrap_angle(angle_rad: Array) -> Array:
-    """Return angle_rad, of any shape, wrapped to (-pi, pi]; -pi becomes pi."""
+    """Wrap angles to (-pi, pi].
+
+    Args:
+        angle_rad: Of any shape [rad].
+
+    Returns:
+        The same shape. -pi becomes pi.
+    """
     return math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
 
 
 def rotation(heading_rad: float) -> Array:
-    """Return R (2, 2) with v_world = R v_frame.
+    """Return the rotation that turns vectors of a frame with this heading into the map's.
 
-    heading_rad: of the frame, counter-clockwise from east.
+    Args:
+        heading_rad: Counter-clockwise from east [rad].
+
+    Returns:
+        (2, 2), R with v_world = R v_frame.
     """
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     return np.array([[cos, -sin], [sin, cos]])

@@ -31,7 +31,14 @@ class MeasuredAttributes:
     variance: Array
 
     def take(self, rows: Index) -> Self:
-        """Return some rows (k,)."""
+        """Return some rows.
+
+        Args:
+            rows: (k,) of the measurements.
+
+        Returns:
+            Attributes of these.
+        """
         if not self.value.size:
             return self
         return replace(self, value=self.value[rows], variance=self.variance[rows])
@@ -64,7 +71,14 @@ class Measurements:
         return len(self.z)
 
     def take(self, rows: Index) -> Self:
-        """Return some rows (k,), of the same instant."""
+        """Return some rows.
+
+        Args:
+            rows: (k,) of the measurements.
+
+        Returns:
+            These, of the same instant.
+        """
         own = {name: getattr(self, name)[rows] for name in ("z", "noise", "identity")}
         return replace(self, **own, attributes=self.attributes.take(rows))
 
@@ -90,4 +104,4 @@ class DynamicGuard(Protocol):
     """Tells where things move."""
 
     def is_dynamic(self, point: Array) -> Mask:
-        """Return whether each point (N, 2) east, north [m] lies in a dynamic region (N,)."""
+        """Return which points (N, 2) east, north [m] lie in a dynamic region (N,)."""

@@ -66,7 +66,14 @@ class LocalMap:
         return self.covariance[np.minimum(i, j), np.maximum(i, j)]
 
     def take(self, rows: Index) -> LocalMap:
-        """Return the pose and some of the landmarks; rows: (k,) here, no landmark indices."""
+        """Return the pose and some of the landmarks.
+
+        Args:
+            rows: (k,) of the landmarks here, which are no landmark indices.
+
+        Returns:
+            The smaller map with its own joint covariance.
+        """
         layout = Layout.of_pose(len(self.pose)).appended(len(self.landmark), self.kind)
         entry = layout.columns(rows, self.kind)
         return replace(
@@ -94,7 +101,13 @@ class KalmanState:
     """
 
     def __init__(self, pose: Array, covariance: Array, chart: Chart = ADDITIVE) -> None:
-        """Start with a pose (p,) and its covariance (p, p), both copied; chart: of the pose."""
+        """Start with a pose alone.
+
+        Args:
+            pose: (p,), heading unwrapped; copied.
+            covariance: (p, p), symmetric positive definite; copied.
+            chart: Of the pose.
+        """
         self._chart = chart
         self._layout = Layout.of_pose(len(pose))
         self._mean = np.array(pose, dtype=float)
@@ -136,9 +149,15 @@ class KalmanState:
         return len(self.layout.first[POINT])
 
     def places(self, kind: LandmarkKind) -> Array:
-        """Return all landmarks (L, w) of a kind, a copy; NaN where one was removed.
+        """Return all landmarks of a kind.
 
-        By landmark index. Source: Nieto 2005, eqs. 5.5 and 6.4.
+        Args:
+            kind: Of the landmarks.
+
+        Returns:
+            (L, w) by landmark index, a copy; NaN where one was removed.
+
+        Source: Nieto 2005, eqs. 5.5 and 6.4.
         """
         first = self._layout.first[kind]
         place: Array = self._mean[first[:, None] + np.arange(kind.width)]
@@ -146,20 +165,40 @@ class KalmanState:
         return place
 
     def local_map(self, reach_m: float) -> LocalMap:
-        """Return the points within reach_m [m] of the vehicle, east-west and north-south."""
+        """Return the points near the vehicle.
+
+        Args:
+            reach_m: Half the side of a square around the vehicle, its sides east-west and north-
+                south [m].
+
+        Returns:
+            Pose and points with their joint covariance.
+        """
         return self.map_of(self._near(reach_m, POINT))
 
     def columns_near(self, reach_m: float) -> Index:
-        """Return the entries (c,) of the pose and all landmarks near, ascending.
+        """Return the state entries of the pose and of all landmarks near the vehicle.
 
-        reach_m: as of `local_map`.
+        Args:
+            reach_m: As in `local_map`.
+
+        Returns:
+            (c,) entries, ascending.
         """
         p = self._layout.pose_size
         near = [self._layout.columns(self._near(reach_m, k), k)[p:] for k in KINDS]
         return np.sort(np.concatenate((np.arange(p), *near)))
 
     def within(self, reach_m: float, kind: LandmarkKind = POINT) -> Index:
-        """Return landmark indices (m,) of a kind within reach_m [m] of the vehicle, ascending."""
+        """Return the landmarks of a kind within a circle around the vehicle.
+
+        Args:
+            reach_m: Its radius [m].
+            kind: Of the landmarks.
+
+        Returns:
+            (m,) landmark indices, ascending.
+        """
         offset = self.places(kind)[:, :2] - self.pose[:2]
         return np.flatnonzero(np.hypot(*offset.T) <= reach_m)
 
@@ -168,10 +207,17 @@ class KalmanState:
         return np.flatnonzero(np.abs(offset).max(axis=1) <= reach_m)
 
     def map_of(self, landmark_index: Index, kind: LandmarkKind = POINT) -> LocalMap:
-        """Return copies of the pose and some landmarks of a kind with their joint covariance.
+        """Return the pose and some landmarks with their joint covariance.
 
-        landmark_index: (m,), in the order asked for. Raises ValueError for a landmark that was
-        removed.
+        Args:
+            landmark_index: (m,) landmark indices.
+            kind: Of the landmarks.
+
+        Returns:
+            Copies, in the order asked for.
+
+        Raises:
+            ValueError: A landmark was removed.
         """
         columns = self._layout.columns(landmark_index, kind)
         landmark = self._mean[columns[self._layout.pose_size :]].reshape(-1, kind.width)
@@ -185,19 +231,37 @@ class KalmanState:
         )
 
     def snapshot(self, kind: LandmarkKind = POINT) -> MapSnapshot:
-        """Return all landmarks of a kind, and which are current: here all that are in the state."""
+        """Return all landmarks of a kind, and which of them are current.
+
+        Args:
+            kind: Of the landmarks.
+
+        Returns:
+            Places, and the indices of current ones: here all that are in the state.
+        """
         return MapSnapshot(self.places(kind), self._layout.present(kind))
 
     def covariance_of(self, columns: Index) -> Array:
-        """Return the covariance (c, c) of some entries, columns (c,); a copy."""
+        """Return the covariance of some entries.
+
+        Args:
+            columns: (c,) state entries.
+
+        Returns:
+            (c, c), a copy.
+        """
         return self._covariance[columns[:, None], columns]
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle; the map stays, so the Jacobian of the whole is diag(F, I).
 
-        pose: (p,) f(x, u), heading unwrapped. jacobian_pose: (p, p), F = df/dx at the departed
-        pose, of the additive global error. noise: (p, p), all of the step's. Source: Guivant 2002,
-        eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and 2.32 to 2.36.
+        Args:
+            pose: (p,) f(x, u), heading unwrapped.
+            jacobian_pose: (p, p), F = df/dx at the departed pose, of the additive global error.
+            noise: (p, p), all of the step's.
+
+        Source: Guivant 2002, eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and
+        2.32 to 2.36.
         """
         self._mean[: len(pose)] = pose
         self._carry(jacobian_pose, noise)
@@ -214,16 +278,26 @@ class KalmanState:
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        """Fuse one stacked measurement; returns what the trace and the compressed filter need.
+        """Fuse one stacked measurement.
 
-        columns: (c,) state entries that the measurement depends on; may repeat. jacobian: (m, c), H
-        by these. innovation: (m,), angles wrapped. noise: (m, m), R. With S = L L^T the term W S
-        W^T is U^T U, U = L^-1 H P: symmetric as computed. Raises FilterDivergedError where S is not
-        positive definite, or S or the innovation is not finite; the state is as before.
+        With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric as computed.
+
+        Args:
+            columns: (c,) state entries that the measurement depends on; may repeat.
+            jacobian: (m, c), H by these entries.
+            innovation: (m,), angles wrapped.
+            noise: (m, m), R.
+
+        Returns:
+            The factors of S and the whitened innovation, for the trace and the compressed filter.
+
+        Raises:
+            FilterDivergedError: S is not positive definite, or S or the innovation is not finite;
+                the state is as before.
 
         Source: Guivant 2002, eq. 8; Misono 2007, eqs. 13 to 15; Nieto 2005, eqs. 2.39, 2.45 to 2.47
-        and, for entries that are not measured, 3.11. Errata: 2.39 is printed S = H P H + R and 2.47
-        W = P H S^-1; the transposes belong there.
+        and, for entries that are not measured, 3.11.
+        Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
         """
         v, n = self._layout.pose_size, self._layout.size
         p = self._covariance[:n, :n]
@@ -245,10 +319,14 @@ class KalmanState:
         return Correction(inverse_root, u, whitened, innovation_covariance)
 
     def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
-        """Append m new landmarks of a kind, correlated with everything through the vehicle.
+        """Append m landmarks of a kind, correlated with everything through the vehicle.
 
-        new: with G_x by the pose and G_z by the measurement. noise: (m, w, w), R. Source: Nieto
-        2005, eqs. 2.48 to 2.53.
+        Args:
+            new: They, with G_x by the pose and G_z by the measurement.
+            noise: (m, w, w), R.
+            kind: Of the landmarks.
+
+        Source: Nieto 2005, eqs. 2.48 to 2.53.
         """
         v, n = self._layout.pose_size, self._layout.size
         last = slice(n, n + new.landmark.size)
@@ -263,9 +341,14 @@ class KalmanState:
         self._layout = self._layout.appended(len(new.landmark), kind)
 
     def remove(self, landmark_index: Index, kind: LandmarkKind = POINT) -> None:
-        """Marginalise landmarks of a kind out; their indices are not given again.
+        """Marginalise landmarks out; their indices are not given again.
 
-        landmark_index: (m,). Raises ValueError for a landmark that was removed already.
+        Args:
+            landmark_index: (m,) landmark indices.
+            kind: Of the landmarks.
+
+        Raises:
+            ValueError: A landmark was removed already.
         """
         gone = self._layout.columns(landmark_index, kind)[self._layout.pose_size :]
         kept = np.setdiff1d(np.arange(self._layout.size), gone)
@@ -274,9 +357,13 @@ class KalmanState:
         self._covariance[:n, :n] = self._covariance[kept[:, None], kept]
 
     def part(self, columns: Index) -> KalmanState:
-        """Return the marginal of some entries as a state of its own; landmark indices are the same.
+        """Return the marginal of some state entries.
 
-        columns: (c,) entries, the pose's first; whole landmarks.
+        Args:
+            columns: (c,) entries, the pose's first; whole landmarks.
+
+        Returns:
+            A state of its own; landmark indices are the same.
         """
         covariance = self._covariance[columns[:, None], columns]
         chosen = KalmanState(self._mean[columns], covariance, self._chart)
@@ -288,11 +375,15 @@ class KalmanState:
     ) -> None:
         """Take over what a local filter learnt: the global update of the compressed filter.
 
-        start: (a,) entries that the local state started from. local: its state now, new landmarks
-        behind the first a entries. phi: (a', a), which carries the correlations: P_ab = phi
-        P_ab(0). root: (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries
-        outside. spared: (s,) entries whose covariance with each other stays as it is. Source:
-        Guivant 2002, eqs. 17, 20, 21 and 23.
+        Args:
+            start: (a,) entries that the local state started from.
+            local: Its state now, new landmarks behind the first a entries.
+            phi: (a', a), which carries the correlations: P_ab = phi P_ab(0).
+            root: (n, k) with Delta P = root root^T, for entries outside.
+            shift: (n,) of the mean, for entries outside.
+            spared: (s,) entries whose covariance with each other stays as it is.
+
+        Source: Guivant 2002, eqs. 17, 20, 21 and 23.
         """
         n, a = self._layout.size, len(start)
         total = n + local._layout.size - a
@@ -323,9 +414,15 @@ class KalmanState:
 
 
 def correlation_coefficients(covariance: Array) -> Array:
-    """Return |P_ij| / sqrt(P_ii P_jj) (n, n) of a covariance (n, n) with positive diagonal.
+    """Return the absolute correlation coefficients |P_ij| / sqrt(P_ii P_jj).
 
-    The sign is lost, as in the source: Nieto 2005, eq. 2.62.
+    Args:
+        covariance: (n, n), with positive diagonal.
+
+    Returns:
+        (n, n), 1 on the diagonal. The sign is lost, as in the source.
+
+    Source: Nieto 2005, eq. 2.62.
     """
     sigma = np.sqrt(np.diag(covariance))
     coefficients: Array = np.abs(covariance) / np.outer(sigma, sigma)
@@ -335,10 +432,16 @@ def correlation_coefficients(covariance: Array) -> Array:
 def subtract(p: Array, root: Array, changed: Index, spared: Index) -> None:
     """Subtract root root^T from a covariance in place, but for the spared block.
 
-    p: (>= n, >= n), changed. root: (n, k). changed: (c,) entries whose rows and columns change,
-    spared: (s,) entries whose covariance with each other stays, both ascending. In strips of
-    changed rows, rightward from the first's own entry, and to its left where spared: each pair is
-    computed once, and a strip stays in the cache. Source: Guivant 2002, eqs. 20, 21 and 23.
+    In strips of changed rows, rightward from the first's own entry, and to its left where spared:
+    each pair is computed once, and a strip stays in the cache.
+
+    Args:
+        p: (>= n, >= n), changed.
+        root: (n, k).
+        changed: (c,) entries whose rows and columns change, ascending.
+        spared: (s,) entries whose covariance with each other stays, ascending.
+
+    Source: Guivant 2002, eqs. 20, 21 and 23.
     """
     n, across = len(root), root[spared]
     for first in range(0, len(changed), machine.STRIP):

@@ -74,19 +74,40 @@ class Trace:
     """Receives every linearisation of a filter, in order; this one keeps nothing."""
 
     def prior(self, pose: Array, covariance: Array) -> None:
-        """Record where the filter starts: pose (p,), covariance (p, p), additive global error."""
+        """Record where the filter starts.
+
+        Args:
+            pose: (p,) x, y and the direction.
+            covariance: (p, p), of the additive global error.
+        """
 
     def step(self, step: StepRecord) -> None:
-        """Record one step of the vehicle, with F and Q as the filter used them."""
+        """Record one step of the vehicle.
+
+        Args:
+            step: Departed and arrived pose, F and Q as the filter used them.
+        """
 
     def measurement(self, used: MeasurementRecord) -> None:
-        """Record measurements that were used together, or a part of an update by them."""
+        """Record measurements that were fused, or a part of them.
+
+        Args:
+            used: All that were fused together, with the numbers that the filter used.
+        """
 
     def initialisation(self, new: MeasurementRecord) -> None:
-        """Record new landmarks, all that were initialised together."""
+        """Record new landmarks.
+
+        Args:
+            new: All that were initialised together.
+        """
 
     def removal(self, gone: RemovalRecord) -> None:
-        """Record landmarks that are gone from the state, and the entries that they had."""
+        """Record landmarks that are in the state no longer.
+
+        Args:
+            gone: Which, and the state entries that they had.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +132,14 @@ class MeasurementRecords:
     origin: Index
 
     def rows(self, rows: Index) -> Self:
-        """Return some rows (k,)."""
+        """Return some rows.
+
+        Args:
+            rows: (k,) of the records.
+
+        Returns:
+            These.
+        """
         return replace(self, **{name: column[rows] for name, column in vars(self).items()})
 
 
@@ -234,10 +262,15 @@ class RecordedTrace(Trace):
 
 
 def stack_records(records: Kept, p: int, kind: LandmarkKind | None) -> MeasurementRecords:
-    """Return one row per measurement, in order; what a record says once holds for all of its rows.
+    """Return one row per measurement; what a record says once holds for all of its rows.
 
-    records: each with the steps made before it. p: entries of a pose. kind: of the landmarks; None
-    for absolute positions, which have a point's entries.
+    Args:
+        records: Each with the steps made before it.
+        p: Entries of a pose.
+        kind: Of the landmarks; None for absolute positions, which have a point's entries.
+
+    Returns:
+        The records as arrays, in order.
     """
     width, r = (kind.width, kind.width) if kind else (0, POINT.width)
     shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}
@@ -260,7 +293,14 @@ def stack_records(records: Kept, p: int, kind: LandmarkKind | None) -> Measureme
 
 
 def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRecords:
-    """Return one row per landmark of the removals, each with the steps made before it, in order."""
+    """Return one row per landmark that was removed.
+
+    Args:
+        removals: Each with the steps made before it.
+
+    Returns:
+        The removals as arrays, in order.
+    """
     rows = [
         (step, gone.kind, landmark_index)
         for step, gone in removals

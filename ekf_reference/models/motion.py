@@ -33,10 +33,17 @@ class MotionStep(NamedTuple):
     def by(
         cls, pose: Array, east: float, north: float, turn: float, jacobian_control: Array
     ) -> Self:
-        """Return the step that moves a pose (3,) by known amounts.
+        """Return the step that moves and turns a pose by known amounts.
 
-        east, north: in the map [m]. turn: [rad], added without wrapping. jacobian_control: (3, m),
-        df/du. The Jacobian by the pose is that of every SE(2)-equivariant model.
+        Args:
+            pose: (3,) x, y, heading at the departure.
+            east: Displacement in the map [m].
+            north: Displacement in the map [m].
+            turn: [rad], added without wrapping.
+            jacobian_control: (3, m), df/du.
+
+        Returns:
+            The step, with the Jacobian by the pose that every SE(2)-equivariant model has.
         """
         by_pose = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
         return cls(pose + (east, north, turn), by_pose, jacobian_control)
