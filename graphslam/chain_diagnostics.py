@@ -127,7 +127,14 @@ def estimated(values: Array) -> Estimated:
 
 
 def half_chains(draws: Array) -> Array:
-    """Return draws (C, N, ...) as (2 C, N // 2, ...): one in the middle is left out."""
+    """Cut every chain in two.
+
+    Args:
+        draws: (C, N, ...).
+
+    Returns:
+        (2 C, N // 2, ...): one in the middle is left out.
+    """
     half = draws.shape[1] // 2
     return np.concatenate((draws[:, :half], draws[:, -half:]))
 

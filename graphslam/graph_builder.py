@@ -50,8 +50,15 @@ def motion_factors(
 ) -> list[gtsam.BetweenFactorPose2]:
     """Return a factor for each motion between two poses or pose landmarks.
 
-    first, second: (N,) keys. motion: (N, 3) of the second in the first's frame. covariance:
-    (N, 3, 3) of the right perturbation, as gtsam takes it. kernel: of KERNELS.
+    Args:
+        first: (N,) keys.
+        second: (N,) keys.
+        motion: (N, 3) of the second in the first's frame.
+        covariance: (N, 3, 3) of the right perturbation, as gtsam takes it.
+        kernel: Of KERNELS.
+
+    Returns:
+        N factors.
     """
     return [
         gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*m), robust(gaussian(c), kernel))
@@ -66,8 +73,17 @@ def measurement_factors(
 ) -> list[gtsam.BearingRangeFactor2D]:
     """Return a factor for each measurement of a point; gtsam wants the bearing first.
 
-    Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory. poses,
-    landmarks: (M,) keys. z, sigma: (M, 2) range and bearing. kernel: of KERNELS.
+    Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory.
+
+    Args:
+        poses: (M,) keys.
+        landmarks: (M,) keys.
+        z: (M, 2) range and bearing.
+        sigma: (M, 2) of these.
+        kernel: Of KERNELS.
+
+    Returns:
+        M factors.
     """
     diagonal = gtsam.noiseModel.Diagonal.Sigmas
     sigmas, kind = np.unique(sigma[:, ::-1], axis=0, return_inverse=True)
@@ -116,7 +132,16 @@ def position_factor(
 def position_factors(
     problem: SlamProblem, rows: Index, kernel: str = "none"
 ) -> Iterator[gtsam.NonlinearFactor]:
-    """Yield the factors of some rows (n,) of a problem's positions. kernel: of KERNELS."""
+    """Make the factors of some of a problem's positions.
+
+    Args:
+        problem: Whose they are.
+        rows: (n,) of them.
+        kernel: Of KERNELS.
+
+    Yields:
+        n factors.
+    """
     p = problem
     for row in rows.tolist():
         key, z, covariance = int(p.position_pose[row]), p.position[row], p.position_covariance[row]
@@ -163,7 +188,14 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
 
 
 def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
-    """Return a graph of factors, in their order."""
+    """Return a graph of factors.
+
+    Args:
+        factors: In their order.
+
+    Returns:
+        The graph.
+    """
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
         graph.push_back(factor)
@@ -198,9 +230,14 @@ def _factors(problem: SlamProblem, kernel: str) -> Iterator[Iterable[gtsam.Nonli
 def pieces(
     problem: SlamProblem, graph: gtsam.NonlinearFactorGraph
 ) -> Callable[[int, int], gtsam.NonlinearFactorGraph]:
-    """Return what gives the factors whose last pose is one of first to end - 1.
+    """Cut a graph into pieces.
 
-    problem: of the graph, which is one of `build_graph`.
+    Args:
+        problem: The graph's.
+        graph: One of `build_graph`.
+
+    Returns:
+        What gives the factors whose last pose is one of first to end - 1.
     """
     last = last_poses(problem)
     order = np.argsort(last, kind="stable")

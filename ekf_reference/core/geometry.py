@@ -38,10 +38,26 @@ def rotation(heading_rad: float) -> Array:
 
 
 def to_frame(pose: Array, point: Array) -> Array:
-    """Return each point (N, 2) of the world in the frame of a pose (3,)."""
+    """Return points of the world in the frame of a pose.
+
+    Args:
+        pose: (3,) x, y, heading.
+        point: (N, 2) in the world.
+
+    Returns:
+        (N, 2) in the frame.
+    """
     return (point - pose[:2]) @ rotation(float(pose[2]))
 
 
 def to_world(pose: Array, point: Array) -> Array:
-    """Return each point (N, 2) of the frame of a pose (3,) in the world."""
+    """Return points of the frame of a pose in the world.
+
+    Args:
+        pose: (3,) x, y, heading.
+        point: (N, 2) in the frame.
+
+    Returns:
+        (N, 2) in the world.
+    """
     return point @ rotation(float(pose[2])).T + pose[:2]

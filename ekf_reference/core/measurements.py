@@ -104,4 +104,11 @@ class DynamicGuard(Protocol):
     """Tells where things move."""
 
     def is_dynamic(self, point: Array) -> Mask:
-        """Return which points (N, 2) east, north [m] lie in a dynamic region (N,)."""
+        """Tell which points lie in a dynamic region.
+
+        Args:
+            point: (N, 2) east, north [m].
+
+        Returns:
+            (N,) which.
+        """
