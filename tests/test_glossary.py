@@ -14,7 +14,7 @@ GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 PLAIN = """
 alike area attributes beyond certain checked closed common computed condition corners duplicates
 duration ever failed fastest five found grew guess half jointly judgement kind labelled last leaves
-left match matched median merged merges middle moves name occupied reached rejects restarts rule
+left match matched median merged merges moves name occupied reached rejects restarts rule
 searches second seems shift smallest splits stamps steps these trial tried turn unchanged under
 wheels
 """
