@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from graphslam.problem import SlamProblem
 
@@ -41,7 +41,7 @@ def drive(
     increments: Array,
     landmarks: Array,
     sees: NDArray[np.bool_],
-    noise: tuple[Array, Array],
+    noise: tuple[ArrayLike, ArrayLike],
     rng: np.random.Generator,
     name: str,
 ) -> World:
@@ -50,8 +50,7 @@ def drive(
     increments: (K-1, 3) true ones. sees: (K, L) who is measured from where. noise: sigmas (3,) or
     (K-1, 3) of increments, and (2,) of range and bearing.
     """
-    step, sensor = noise
-    step = np.broadcast_to(step, increments.shape)
+    step, sensor = np.broadcast_to(noise[0], increments.shape), np.asarray(noise[1])
     poses = np.zeros((len(increments) + 1, 3))
     for k, (forward, left, turn) in enumerate(increments):
         x, y, heading = poses[k]
@@ -88,9 +87,8 @@ def integrate(increments: Array) -> Array:
 
 def in_reach(increments: Array, landmarks: Array, reach_m: float) -> NDArray[np.bool_]:
     """(K, L) who is nearer than the reach."""
-    place = integrate(increments)
-    apart = np.linalg.norm(place[:, None] - landmarks[None], axis=2)
-    near: NDArray[np.bool_] = apart < reach_m
+    apart = integrate(increments)[:, None] - landmarks
+    near: NDArray[np.bool_] = np.linalg.norm(apart, axis=2) < reach_m
     return near
 
 
@@ -104,8 +102,8 @@ def sides(seed: int) -> World:
     along = integrate(increments)[rng.integers(0, count, number)]
     away = rng.uniform(1.5, 9.0, number) * rng.choice((-1.0, 1.0), number)
     landmarks = along + np.column_stack((rng.normal(0.0, 0.5, number), away))
-    sensor = np.array((rng.choice((0.02, 0.05, 0.1)), rng.choice((0.7, 1.0))))
-    step = np.array((0.05, 0.02, np.deg2rad(rng.choice((0.5, 1.0, 2.0)))))
+    sensor = rng.choice((0.02, 0.05, 0.1)), rng.choice((0.7, 1.0))
+    step = 0.05, 0.02, np.deg2rad(rng.choice((0.5, 1.0, 2.0)))
     sees = in_reach(increments, landmarks, 12.0)
     return drive(increments, landmarks, sees, (step, sensor), rng, f"sides {seed}")
 
@@ -132,15 +130,15 @@ def winding(seed: int) -> World:
     sees[moving] = False
     step = np.tile((0.05, 0.03, np.deg2rad(1.0)), (len(increments), 1))
     step[moving[:-1], 2] = np.deg2rad(rng.choice((10.0, 15.0, 22.0)))
-    sensor = np.array((0.1, np.deg2rad(2.0)))
+    sensor = 0.1, np.deg2rad(2.0)
     return drive(increments, landmarks, sees, (step, sensor), rng, f"winding {seed}")
 
 
 def rooms(seed: int) -> World:
     """Symmetric rooms, each circled once and revisited at the end, joined by blind corridors."""
     rng = np.random.default_rng((3, seed))
-    sensor = np.array((rng.choice((0.03, 0.1)), rng.choice((0.5, 0.8))))
-    circle = np.column_stack((np.full(24, 0.8), np.zeros(24), np.full(24, 2.0 * np.pi / 24)))
+    sensor = rng.choice((0.03, 0.1)), rng.choice((0.5, 0.8))
+    circle = np.tile((0.8, 0.0, 2.0 * np.pi / 24), (24, 1))
     corridor = np.tile((1.0, 0.0, 0.0), (12, 1))
     corridor[6, 2] = rng.choice((-1.0, 1.0)) * 0.5 * np.pi
     count = int(rng.integers(2, 4))
@@ -154,28 +152,25 @@ def rooms(seed: int) -> World:
         around = heading[first] + 2.0 * np.pi * np.arange(fold) / fold
         radius = rng.uniform(1.2, 5.0)
         landmarks.append(ahead + radius * np.column_stack((np.cos(around), np.sin(around))))
-    landmarks_all = np.vstack(landmarks)
-    sees = in_reach(increments, landmarks_all, 7.0)
+    everywhere = np.vstack(landmarks)
+    sees = in_reach(increments, everywhere, 7.0)
     blind = np.arange(len(increments) + 1) % 36 > 24
     sees[blind] = False
     step = np.tile((0.04, 0.02, np.deg2rad(1.0)), (len(increments), 1))
     step[blind[:-1], 2] = np.deg2rad(rng.choice((3.0, 10.0)))
-    return drive(increments, landmarks_all, sees, (step, sensor), rng, f"rooms {seed}")
+    return drive(increments, everywhere, sees, (step, sensor), rng, f"rooms {seed}")
 
 
 def quiet(seed: int) -> World:
     """Two rounds past landmarks with a good sensor."""
     rng = np.random.default_rng((4, seed))
     count = int(rng.integers(60, 120))
-    once = np.column_stack(
-        (np.full(count, 1.0), np.zeros(count), np.full(count, 2 * np.pi / count))
-    )
-    increments = np.vstack((once, once))
+    increments = np.tile((1.0, 0.0, 2 * np.pi / count), (2 * count, 1))
     number = int(rng.integers(12, 30))
     along = integrate(increments)[rng.integers(0, count, number)]
     landmarks = along + rng.uniform(-7.0, 7.0, (number, 2))
     sees = in_reach(increments, landmarks, 10.0)
-    noise = np.array((0.05, 0.02, np.deg2rad(0.5))), np.array((0.1, np.deg2rad(1.0)))
+    noise = (0.05, 0.02, np.deg2rad(0.5)), (0.1, np.deg2rad(1.0))
     return drive(increments, landmarks, sees, noise, rng, f"quiet {seed}")
 
 
@@ -186,9 +181,9 @@ def labels(seed: int) -> World:
     problem = world.problem
     named = problem.measurement_landmark.copy()
     swaps = rng.choice(len(named), int(rng.integers(1, 6)), replace=False)
-    seen_from = problem.measurement_pose[swaps]
-    for row, pose in zip(swaps, seen_from, strict=True):
-        near = np.linalg.norm(world.landmarks - world.poses[pose, :2], axis=1)
+    for row in swaps:
+        place = world.poses[problem.measurement_pose[row], :2]
+        near = np.linalg.norm(world.landmarks - place, axis=1)
         near[named[row]] = np.inf
         named[row] = int(np.argmin(near))
     kept = np.unique(named)
@@ -211,11 +206,4 @@ def kidnapped(seed: int) -> World:
     return replace(world, name=f"kidnapped {seed}", problem=replace(problem, increment=increment))
 
 
-CLASSES: dict[str, Callable[[int], World]] = {
-    "sides": sides,
-    "winding": winding,
-    "rooms": rooms,
-    "labels": labels,
-    "kidnapped": kidnapped,
-    "quiet": quiet,
-}
+CLASSES: tuple[Callable[[int], World], ...] = (sides, winding, rooms, labels, kidnapped, quiet)

@@ -145,15 +145,15 @@ class Cases:
             raise InputError(str(error)) from None
         return ExternalEstimate.of(run.estimate)
 
-    def _fed(self, feed: Callable[[Log], Log]) -> ExternalEstimate:
-        log = feed(self.log)
-        run = run_reference(log, build_timeline(log), self.config)
-        return of_run(run, self.right.time_s)
+    def _known(
+        self, time_s: Array, log: Log | None = None, kind: type[Ekf] = Ekf
+    ) -> ExternalEstimate:
+        """What a reference filter knew at some times, of this log or fed with another."""
+        log = log or self.log
+        return of_run(run_reference(log, build_timeline(log), self.config, kind=kind), time_s)
 
-    def _variant(self, kind: type[Ekf]) -> ExternalEstimate:
-        return of_run(
-            run_reference(self.log, self.timeline, self.config, kind=kind), self.right.time_s
-        )
+    def _fed(self, feed: Callable[[Log], Log]) -> ExternalEstimate:
+        return self._known(self.right.time_s, feed(self.log))
 
     def _filters(self) -> Iterator[Case]:
         yield Case("the reference EKF", True, lambda: self.right, True)
@@ -173,7 +173,7 @@ class Cases:
             ("unscented, wide", filter_variants.WideUnscentedEkf),
             ("landmarks initialised before the update", filter_variants.NewFirstEkf),
         ):
-            yield Case(name, True, partial(self._variant, kind), True)
+            yield Case(name, True, partial(self._known, self.right.time_s, kind=kind), True)
         for name in ("compressed-suboptimal", "misono-full"):
             yield Case(name, True, partial(self._filtered, filter=name))
 
@@ -196,18 +196,14 @@ class Cases:
             ("every fifth pose", with_poses(right, np.union1d(np.arange(0, last, 5), last))),
         ):
             yield Case(name, True, partial(replace, given), True)
-        yield Case("at every odometry sample", True, self._at_samples, True)
+        samples = np.append(np.round(self.timeline.step_begin_s, 4), right.time_s)
+        sampled = partial(self._known, np.unique(samples))
+        yield Case("at every odometry sample", True, sampled, True)
         yield Case("resampled between poses", True, lambda: resampled(right))
         for name in FORMATS:
             yield Case(f"a {name} file", True, partial(from_file, bare, name), True)
         rounded_path = replace(bare, time_s=np.round(bare.time_s, 6), pose=np.round(bare.pose, 6))
         yield Case("TUM with six decimals", True, lambda: rounded_path, True)
-
-    def _at_samples(self) -> ExternalEstimate:
-        run = run_reference(self.log, self.timeline, self.config)
-        return of_run(
-            run, np.unique(np.append(np.round(self.timeline.step_begin_s, 4), self.right.time_s))
-        )
 
     def _smoothers(self) -> Iterator[Case]:
         def smoothed(**settings: str) -> ExternalEstimate:
