@@ -99,11 +99,6 @@ def _steering_sign(own: Any, pose: Array, control: Array, duration_s: float) -> 
     return step._replace(jacobian_control=step.jacobian_control * (1.0, -1.0))
 
 
-def _identity(own: Any, *args: Any) -> MotionStep:
-    step: MotionStep = own(*args)
-    return step._replace(jacobian_pose=np.eye(3))
-
-
 def _without_interval(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
     step: MotionStep = own(pose, control, duration_s)
     return step._replace(jacobian_control=step.jacobian_control / duration_s)
@@ -224,7 +219,10 @@ FAULTS = {
         "the sensor is taken to be at the middle of the rear axle",
         _vehicle(lambda car: replace(car, sensor_forward_m=0.0, sensor_left_m=0.0), "sensor"),
     ),
-    "F the identity": Fault("P is predicted without the motion's Jacobian", moving(_identity)),
+    "F the identity": Fault(
+        "P is predicted without the motion's Jacobian",
+        moving(lambda own, *args: own(*args)._replace(jacobian_pose=np.eye(3))),
+    ),
     "B without dt": Fault(
         "the Jacobian by the control is not multiplied by the interval", moving(_without_interval)
     ),

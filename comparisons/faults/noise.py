@@ -17,10 +17,6 @@ def _sigma(change: Callable[[Array], Array]) -> Plant:
     return observing(measured=lambda own, z, sigma: own(z, change(sigma)))
 
 
-def _twice(own: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
-    return z, 2.0 * own(z, sigma)[1]
-
-
 def _control(change: Callable[[Array], Array]) -> Plant:
     """Q by another covariance of the control."""
     return stepping(predict=lambda own, u, covariance, dt: own(u, change(covariance), dt))
@@ -39,7 +35,9 @@ def new_landmarks(updates: float, new: float) -> Plant:
 FAULTS = {
     "sigma squared twice": Fault("R holds sigma^4", _sigma(lambda sigma: sigma**2)),
     "sigma for variance in R": Fault("R holds sigma", _sigma(np.sqrt)),
-    "twice the variance in R": Fault("R holds 2 sigma^2", observing(measured=_twice)),
+    "twice the variance in R": Fault(
+        "R holds 2 sigma^2", observing(measured=lambda own, z, sigma: (z, 2.0 * own(z, sigma)[1]))
+    ),
     "degrees for radians in R": Fault(
         "the bearing's sigma is in degrees", _sigma(lambda sigma: sigma * (1.0, np.degrees(1.0)))
     ),

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
-from comparisons.logs.odometry import Integration, Odometry, RelativePoses
+from comparisons.logs.odometry import Integration, Odometry, RelativePoses, poses_at
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
@@ -204,9 +204,7 @@ class Poses(Brief):
 
     def at(self, time_s: Array) -> Array:
         """(N, 3) poses at times (N,), between the records by interpolation, headings unwrapped."""
-        x, y, heading = self.pose.T
-        columns = (x, y, np.unwrap(heading))
-        return np.column_stack([np.interp(time_s, self.time_s, c) for c in columns])
+        return poses_at(time_s, self.time_s, self.pose)
 
 
 @dataclass(frozen=True)

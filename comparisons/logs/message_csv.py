@@ -27,16 +27,13 @@ ENDINGS = {
     "header_stamp": "stamp",
     **{f"stamp_{name}": "stamp_s" for name in ("s", "sec", "secs")},
     **{f"stamp_{name}": "stamp_ns" for name in ("ns", "nsec", "nsecs", "nanosec", "nanosecs")},
-    "position_x": "x",
-    "position_y": "y",
+    **{f"position_{axis}": axis for axis in "xy"},
     **{f"orientation_{axis}": f"q{axis}" for axis in "xyzw"},
     **{f"q{axis}": f"q{axis}" for axis in "xyzw"},
     "linear_x": "forward",
     "angular_z": "turn",
     "angular_velocity_z": "turn",
-    "latitude": "latitude",
-    "longitude": "longitude",
-    "altitude": "altitude",
+    **{name: name for name in ("latitude", "longitude", "altitude")},
 }
 """How the path of a message's field ends, and what it is."""
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -44,20 +41,15 @@ _UPPER = (0, 1, 5, 7, 11, 35)
 """x, y and the turn about z of a message's six: the upper triangle among its 36 covariances."""
 PARTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "time_s": (("stamp_s", "stamp_ns"), ("stamp",)),
-    "x_m": (("x",),),
-    "y_m": (("y",),),
-    "heading_rad": (QUATERNION,),
-    "speed_mps": (("forward",),),
-    "yaw_rate_radps": (("turn",),),
+    "x_m": (("x",),), "y_m": (("y",),), "heading_rad": (QUATERNION,),
+    "speed_mps": (("forward",),), "yaw_rate_radps": (("turn",),),
     **{name: ((f"pose_{k}",),) for name, k in zip(COVARIANCE, _UPPER, strict=True)},
     "var_x_m2": (("position_0",), ("pose_0",)),
     "cov_xy_m2": (("position_1",), ("pose_1",)),
     "var_y_m2": (("position_4",), ("pose_7",)),
-    "var_forward": (("twist_0",),),
-    "var_left": (("twist_7",),),
-    "var_turn": (("twist_35",),),
+    "var_forward": (("twist_0",),), "var_left": (("twist_7",),), "var_turn": (("twist_35",),),
     **{name: ((name,),) for name in ("latitude", "longitude", "altitude")},
-}
+}  # fmt: skip
 """By column of a log, the fields that it is made of; the first that are all there."""
 
 

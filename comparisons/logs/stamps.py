@@ -38,7 +38,7 @@ def at_instants(time_s: Array, instants_s: Array) -> Array:
     """
     nearest = _nearest(time_s, instants_s)
     apart, told = np.abs(nearest - time_s), 2.0 * np.spacing(np.abs(time_s))
-    for decimals in (3, *range(4, 10)):
+    for decimals in range(3, 10):
         near = apart <= 0.5 * 10.0**-decimals + told
         written = np.abs(time_s - np.round(time_s, decimals)) <= told
         if written.all() and (decimals > 3 or near.all()):

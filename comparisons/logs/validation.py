@@ -51,30 +51,23 @@ def check(
 
     gaps: columns in which NaN means not measured. shapes: each row's shape, None to leave alone.
     """
-    for f in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, f.name)
-        if not isinstance(value, np.ndarray | list):
-            continue
-        if f.name in ("id", "landmark"):
-            kept: NDArray[np.generic] = whole_numbers(stream, f.name, np.array(value))
-            kept.flags.writeable = False
-        else:
-            kept = frozen(value)
-        object.__setattr__(record, f.name, kept)
+    kept: dict[str, NDArray[Any]] = {}
+    for name in (one.name for one in fields(record)):  # type: ignore[arg-type]
+        if isinstance(value := getattr(record, name), np.ndarray | list):
+            ids = name in ("id", "landmark")
+            kept[name] = whole_numbers(stream, name, np.array(value)) if ids else frozen(value)
+            kept[name].flags.writeable = False
+            object.__setattr__(record, name, kept[name])
     count = len(getattr(record, rows))
-    for f in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, f.name)
-        if not isinstance(value, np.ndarray):
-            continue
-        shape = shapes.get(f.name, ())
-        if shape is not None and value.shape != (count, *shape):
-            raise RecordError(
-                stream, None, f"{f.name} has shape {value.shape}, expected {(count, *shape)}"
-            )
-        bad = np.isinf(value) if f.name in gaps else ~np.isfinite(value)
-        refuse(stream, bad, f.name, value, "a finite number")
-        if f.name not in ("id", "landmark", "intensity"):
-            refuse(stream, np.abs(value) > LARGEST, f.name, value, f"at most {LARGEST:g}")
+    for name, array in kept.items():
+        shape = shapes.get(name, ())
+        if shape is not None and array.shape != (count, *shape):
+            expected = (count, *shape)
+            raise RecordError(stream, None, f"{name} has shape {array.shape}, expected {expected}")
+        bad = np.isinf(array) if name in gaps else ~np.isfinite(array)
+        refuse(stream, bad, name, array, "a finite number")
+        if name not in ("id", "landmark", "intensity"):
+            refuse(stream, np.abs(array) > LARGEST, name, array, f"at most {LARGEST:g}")
 
 
 def refuse(stream: str, bad: Mask, name: str, values: NDArray[Any], expected: str) -> None:

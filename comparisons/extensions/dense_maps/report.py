@@ -161,26 +161,22 @@ class MapReport(Report[DenseMapping, MapResult]):
 
     def summary(self) -> Summary:
         """Return what the command prints: what the map holds, and how good it is."""
-        result = self.result
-        returns = result.returns
-        fused = returns.fused + returns.late
+        result, returns, known = self.result, self.result.returns, self.found.known
+        fused = f"{returns.fused + returns.late:,} of {returns.returns:,}"
         errors = [
             f"{name} {error.median_m:.3f} m"
             for name, error in result.surface_errors.items()
             if math.isfinite(error.median_m)
         ]
         layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
+        lines = [("occupied", f"{', '.join(layers)} samples")]
+        if errors:
+            lines.append(("surfaces", f"median distance to true ones: {', '.join(errors)}"))
         return Summary(
-            headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
-            f"{result.regions:,} regions",
+            headline=f"map: {fused} scan returns in {result.regions:,} regions",
             remarks=result.remarks,
-            lines=[
-                ("occupied", f"{', '.join(layers)} samples"),
-                *[("surfaces", f"median distance to true ones: {', '.join(errors)}")]
-                * bool(errors),
-                *self.found.known.lines,
-            ],
-            rows=_map_rows(result, self.found.known),
+            lines=[*lines, *known.lines],
+            rows=_map_rows(result, known),
         )
 
     def page(self) -> PageContent:
@@ -312,9 +308,7 @@ def _dynamic(m: DenseMapping) -> DynamicResult | None:
 
 
 def _remarks(m: DenseMapping) -> list[str]:
-    remarks = []
-    if m.ekf.breakdown:
-        remarks.append(m.ekf.breakdown)
+    remarks = [m.ekf.breakdown] if m.ekf.breakdown else []
     if not len(m.placed.triangle):
         remarks.append(
             "no three landmarks meet the conditions of a region "

@@ -216,14 +216,14 @@ class OwnAssociation(Extension):
             prepared.progress("own association", 0, 0)
             found = work.result()
             log, run, estimate = prepared.log, known.ekf, found.estimate
-            epoch, by_both = (
-                run.timeline.measurement_epoch,
-                (run.landmark_index, found.landmark_index),
-            )
-            smoothed, optimality = known.gaps.smoothed, found.optimality
             own = replace(
                 check_own_association(
-                    log.measurements, epoch, by_both, smoothed, estimate, optimality
+                    log.measurements,
+                    run.timeline.measurement_epoch,
+                    (run.landmark_index, found.landmark_index),
+                    known.gaps.smoothed,
+                    estimate,
+                    found.optimality,
                 ),
                 accuracy=assess(estimate, prepared.judged, labelled=False),
                 association=score_association(found.landmark_index, estimate.landmark, log),

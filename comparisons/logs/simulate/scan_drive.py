@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,14 +95,8 @@ def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
 def dense_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
     """Nieto 2005, section 3.9, Fig. 3.17, Table 3.1, with sigmas of measurements and of beams."""
     world = dense_slam_world()
-    drive = replace(
-        _drive(world, loops, noise_scale),
-        scan_every=14,
-        sigma_steering_rad=math.radians(3.0),
-        sigma_range_m=0.15,
-        sigma_bearing_rad=math.radians(1.5),
-        max_range_m=25.0,
-    )
+    table = _Table(every=14, steering_deg=3.0, range_m=0.15, bearing_deg=1.5, reach_m=25.0)
+    drive = _drive(world, loops, noise_scale, table)
     return _experiment("scan-loop", "section 3.9, Fig. 3.17, Table 3.1", world, drive)
 
 
@@ -128,14 +123,8 @@ def dense_slam_in_space(loops: int = 1, noise_scale: float = 1.0) -> ScanExperim
 def occupancy(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
     """Nieto 2005, section 4.1.3, Fig. 4.2, Table 4.1."""
     world = occupancy_world()
-    drive = replace(
-        _drive(world, loops, noise_scale),
-        scan_every=14,
-        sigma_steering_rad=math.radians(5.0),
-        sigma_range_m=0.10,
-        sigma_bearing_rad=math.radians(1.0),
-        max_range_m=25.0,
-    )
+    table = _Table(every=14, steering_deg=5.0, range_m=0.10, bearing_deg=1.0, reach_m=25.0)
+    drive = _drive(world, loops, noise_scale, table)
     return _experiment("occupancy-loop", "section 4.1.3, Fig. 4.2, Table 4.1", world, drive)
 
 
@@ -146,14 +135,8 @@ def scan_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
     the table holds here.
     """
     world = scan_slam_world()
-    drive = replace(
-        _drive(world, loops, noise_scale),
-        scan_every=8,
-        sigma_steering_rad=math.radians(5.0),
-        sigma_range_m=0.10,
-        sigma_bearing_rad=math.radians(1.0),
-        max_range_m=35.0,
-    )
+    table = _Table(every=8, steering_deg=5.0, range_m=0.10, bearing_deg=1.0, reach_m=35.0)
+    drive = _drive(world, loops, noise_scale, table)
     return _experiment("scan-slam", "section 5.6, Fig. 5.8, Table 5.1", world, drive)
 
 
@@ -198,15 +181,8 @@ def dynamic_places(
     carried: what is taken away takes a landmark along.
     """
     world = places_world(carried=carried)
-    drive = replace(
-        _drive(world, loops + 1, noise_scale),
-        scan_every=14,
-        sigma_steering_rad=math.radians(3.0),
-        sigma_range_m=0.15,
-        sigma_bearing_rad=math.radians(1.0),
-        max_range_m=25.0,
-        extra_s=0.0,
-    )
+    table = _Table(every=14, steering_deg=3.0, range_m=0.15, bearing_deg=1.0, reach_m=25.0)
+    drive = replace(_drive(world, loops + 1, noise_scale, table), extra_s=0.0)
     return _experiment("dynamic-places", "section 6.3.3, Fig. 6.10", world, drive)
 
 
@@ -227,14 +203,29 @@ def parked_cars() -> ScanExperiment:
     return _experiment("parked-cars", "section 6.5, Fig. 6.19", world, drive, ours)
 
 
-def _drive(world: ScanWorld, loops: int, noise_scale: float) -> Drive:
-    """What Tables 3.1, 4.1 and 5.1 have in common."""
+class _Table(NamedTuple):
+    """What Tables 3.1, 4.1 and 5.1 say of the sensors, each otherwise."""
+
+    every: int
+    steering_deg: float
+    range_m: float
+    bearing_deg: float
+    reach_m: float
+
+
+def _drive(world: ScanWorld, loops: int, noise_scale: float, table: _Table) -> Drive:
+    """A drive with what the tables have in common, too."""
     speed = 3.0
     return Drive(
         loops=loops,
         speed_mps=speed,
         sample_s=0.025,
+        scan_every=table.every,
         sigma_speed_mps=0.5,
+        sigma_steering_rad=math.radians(table.steering_deg),
+        sigma_range_m=table.range_m,
+        sigma_bearing_rad=math.radians(table.bearing_deg),
+        max_range_m=table.reach_m,
         loop_s=world.loop_m / speed,
         extra_s=_OVERLAP_M / speed,
         noise_scale=noise_scale,
