@@ -89,8 +89,3 @@ class Absent(NamedTuple):
 
 class LackingError(Exception):
     """What a check asks for is not known in a job, for a reason in words."""
-
-
-def value_of(findings: Mapping[str, Finding], kind: type[Of[V]]) -> V | None:
-    """Return the value of the first finding of a kind, None where there is none."""
-    return next((one.value for one in findings.values() if isinstance(one, kind)), None)

@@ -15,7 +15,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
-from comparisons.checks.finding import Finding, LackingError, Of, OfFilter, V, value_of
+from comparisons.checks.finding import Finding, LackingError, Of, OfFilter, V
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
@@ -169,4 +169,5 @@ class Known(Brief):
 
     def value(self, kind: type[Of[V]]) -> V | None:
         """Return the value of a finding of a kind, None where no check has it."""
-        return value_of(self.findings, kind)
+        found = (one.value for one in self.findings.values() if isinstance(one, kind))
+        return next(found, None)
