@@ -76,13 +76,11 @@ def linearisation_cause(
             f"{names[worst]} is {ratio:.2g} times the smoother's"
         )
     if not agreement.pose.near:
-        parts.append(
-            f"the last pose differs by {agreement.pose.difference_m:.2f} m "
-            f"({agreement.pose.distance_sigma:.1f} sigma)"
-        )
+        metres, sigmas = agreement.pose.difference_m, agreement.pose.distance_sigma
+        parts.append(f"the last pose differs by {metres:.2f} m ({sigmas:.1f} sigma)")
     if not agreement.map.near:
-        far_all = agreement.map.distance_sigma
-        parts.append(f"map and last pose together differ by {far_all:.1f} sigma")
+        together = agreement.map.distance_sigma
+        parts.append(f"map and last pose together differ by {together:.1f} sigma")
     if agreement.optimism < LEAST_VARIANCE_RATIO:
         parts.append(
             f"in the most optimistic direction the filter's variance is "

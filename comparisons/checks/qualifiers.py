@@ -238,30 +238,21 @@ def qualified(
 
     unchecked: why nobody has checked the association; empty where somebody has, or need not.
     """
-    found = []
-    causes, remarks = verdict.causes, verdict.remarks
-    if gap is not None and (far := gap.cause) is not None:
-        found.append(TRUTH_GAP)
-        causes = (*causes, far)
-    elif gap is not None and gap.rough:
-        remarks = (*remarks, _rough(gap))
-    if unchecked:
-        found.append(UNCHECKED)
-        remarks = (*remarks, unchecked)
+    far = None if gap is None else gap.cause
     outside = None if consistency is None else inconsistencies(consistency)
-    if outside:
-        found.append(INCONSISTENT)
+    rough = [_rough(gap)] if gap is not None and gap.rough else []
+    found = {TRUTH_GAP: far is not None, UNCHECKED: bool(unchecked), INCONSISTENT: bool(outside)}
     of: dict[FailOn, bool] = {
         "disagreement": verdict.outcome == "disagree",
-        "consistency": bool(outside),
-        "truth": TRUTH_GAP in found,
-        "association": UNCHECKED in found,
+        "consistency": found[INCONSISTENT],
+        "truth": found[TRUTH_GAP],
+        "association": found[UNCHECKED],
     }
     return replace(
         verdict,
-        causes=causes,
-        remarks=remarks,
-        qualifiers=tuple(found),
+        causes=verdict.causes if far is None else (*verdict.causes, far),
+        remarks=(*verdict.remarks, *rough, *filter(None, [unchecked])),
+        qualifiers=tuple(name for name, stands in found.items() if stands),
         inconsistent=outside,
         failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one]),
     )

@@ -44,11 +44,11 @@ class Companion(FilterObservers):
         self._share, self._least = share, least
         reference = sound.reference
         self._row = {time: row for row, time in enumerate(given.time_s.tolist())}
-        self._pose, self._variance = given.pose, _variances(reference.pose_covariance)
+        self._pose, self._variance = given.pose, np.diagonal(reference.pose_covariance, 0, 1, 2)
         apart = in_sigma(pose_difference(given.pose, reference.pose), reference.pose_covariance)
         self._own = None
         if given.pose_covariance is not None:
-            self._own = np.maximum(_variances(given.pose_covariance), 1e-300)
+            self._own = np.maximum(np.diagonal(given.pose_covariance, 0, 1, 2), 1e-300)
             apart = np.fmax(apart, np.abs(np.log(self._own / self._variance)).max(axis=1))
         self._sound = np.maximum.accumulate(np.nan_to_num(apart))
         self._exact, self.last_s, self.poses = True, float(given.time_s[0]), 0
@@ -127,8 +127,3 @@ class _First(FilterObservers):
             self.left.append(apart)
             if len(self.left) >= self._count:
                 raise Left
-
-
-def _variances(covariance: Array) -> Array:
-    found: Array = np.diagonal(covariance, 0, 1, 2)
-    return found

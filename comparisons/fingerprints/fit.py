@@ -40,11 +40,8 @@ class Fit:
     @property
     def fault(self) -> Fault:
         """All of them at once, but for those that are none."""
-        kept = [
-            _member(one, at)
-            for one, at in zip(self.families, self.at, strict=True)
-            if abs(at - _neutral(one)) > _NEUTRAL
-        ]
+        numbers = zip(self.families, self.at, strict=True)
+        kept = [_member(one, at) for one, at in numbers if abs(at - _neutral(one)) > _NEUTRAL]
         return together(self.base, *kept)
 
     @property

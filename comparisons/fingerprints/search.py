@@ -133,9 +133,8 @@ def _start(given: ExternalEstimate, log: Log) -> list[Fault]:
     if given.pose_covariance is None or abs(given.time_s[0] - log.prior.time_s) > CLOCK_S:
         return []
     own = given.pose_covariance[0]
-    if not np.linalg.eigvalsh(0.5 * (own + own.T))[0] > 0.0:
-        return []
-    return [own_start(log, own)]
+    positive = np.linalg.eigvalsh(0.5 * (own + own.T))[0] > 0.0
+    return [own_start(log, own)] if positive else []
 
 
 def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:

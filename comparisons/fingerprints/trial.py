@@ -117,8 +117,9 @@ class Trial:
     def _bare(self) -> Likeness | None:
         """The filter without a fault beside the estimate; None where it cannot run."""
         found = self._run(NONE, FilterObservers())
-        if found is None:
-            return None
+        return None if found is None else self._likeness(found)
+
+    def _likeness(self, found: Reference) -> Likeness:
         return likeness(self.given, found, labelled=self.prepared.labelled)
 
     def _equal(self, near: Likeness) -> bool:
@@ -144,10 +145,8 @@ class Trial:
             found = None
         except InputError:
             return None
-        near = None
-        if found is not None:
-            with np.errstate(invalid="ignore"):  # a fault may leave no covariance
-                near = likeness(self.given, found, labelled=self.prepared.labelled)
+        with np.errstate(invalid="ignore"):  # a fault may leave no covariance
+            near = None if found is None else self._likeness(found)
         if near is not None and self._equal(near):
             if self._bare is not None and self._equal(self._bare):
                 return None  # a fault without effect

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -168,13 +168,12 @@ def check_trace(
     verdict, agreement, trace = judge(found), gaps.agreement, run.trace
     algebra = agreement.algebra if known else None
     causes = {one.gap for one in verdict.causes}
-    left = _departures(given, found, causes)
     sensors = event_innovations(run_events(run), run.sensors)
     return TraceCheck(
         known=found,
         sensors=sensors,
         own=_own_equations(run) if known and causes.isdisjoint(FILTER_FAULTS) else None,
-        departure=min(left, key=lambda one: one.time_s, default=None),
+        departure=_departure(given, found, causes),
         algebra=algebra,
         verdict=verdict,
         **gap_figures(algebra, agreement.model, agreement.linearisation),
@@ -188,19 +187,17 @@ def check_trace(
     )
 
 
-def _departures(given: ExternalEstimate, known: Known, causes: set[str]) -> Iterator[Departure]:
-    """Where the trace leaves the models, and the estimate what the trace leads to."""
-    log, run = known.prepared.log, known.ekf
+def _departure(given: ExternalEstimate, known: Known, causes: set[str]) -> Departure | None:
+    """Where first the trace leaves the models, or the estimate what the trace leads to."""
+    log, run, found = known.prepared.log, known.ekf, list[Departure | None]()
     if "model" in causes:
-        found = model_departure(given, known.records.differences, log)
-        if found is not None:
-            yield found
+        found.append(model_departure(given, known.records.differences, log))
     if "algebra" in causes:
         with np.errstate(all="ignore"):  # a wrong filter may have broken down
             own = _own_equations(run)
-        found = departure_from(given, [own], log, run.timeline)
-        if found is not None:
-            yield found
+        found.append(departure_from(given, [own], log, run.timeline))
+    left = (one for one in found if one is not None)
+    return min(left, key=lambda one: one.time_s, default=None)
 
 
 def _own_equations(run: EkfRun) -> Reference:
@@ -317,9 +314,9 @@ class SingleRecords(TraceRecords):
 def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]:
     """What storing explains of single relations, by relation and quantity."""
     found: dict[tuple[str, str], float] = {}
+    right = gaps.by_steps(gaps.recorded, run.trace)
     for trace in restored_traces(run.trace):
         other = gaps.by_steps(recorded_system_of(replace(run, trace=trace)), trace)
-        right = gaps.by_steps(gaps.recorded, run.trace)
         for one in model_differences(other, right, 0.0, gaps.initialised):
             key = one.relation, one.quantity
             found[key] = max(found.get(key, 0.0), FACTOR * one.largest)

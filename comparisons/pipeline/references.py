@@ -83,19 +83,15 @@ def reference_ekf(
     None where it breaks down.
     """
     run = _run(prepared, Ekf, time_s)
-    return (
-        None
-        if run is None
-        else (_of_run(EKF, run, time_s, prepared.log.labels), run.before_updates().at(time_s))
-    )
+    if run is None:
+        return None
+    return _of_run(EKF, run, time_s, prepared.log.labels), run.before_updates().at(time_s)
 
 
 def variants(prepared: Prepared[SolveConfig], time_s: Array) -> Iterator[Reference]:
     """Other sound filters on the same log, made when they are asked for."""
-    for name, kind in _VARIANTS.items():
-        run = _run(prepared, kind, time_s)
-        if run is not None:
-            yield _of_run(name, run, time_s, prepared.log.labels)
+    found = (filter_of(name, kind, prepared, time_s) for name, kind in _VARIANTS.items())
+    yield from (one for one in found if one is not None)
 
 
 def smoother(solution: Solution, time_s: Array) -> Reference:

@@ -132,14 +132,13 @@ class Solution(Shown):
         """What is lacking for `verified`: edges, the optimum, the smoother's own association."""
         optimality = self.result.optimality
         found = lacking(optimality) if self.misread is None else [optimality.lacks]
-        return [*self.doubts, *(one for one in found if one)]
+        return [*self.doubts, *filter(None, found)]
 
     @property
     def doubts(self) -> list[str]:
         """What is lacking but for the optimum's own evidence: how edges are read, association."""
-        checked, found = self.association_check, []
-        if self.misread is not None:
-            found.append(self._reading(self.misread))
+        found = [] if self.misread is None else [self._reading(self.misread)]
+        checked = self.association_check
         return found if checked is None else [*found, *checked.remarks]
 
     def _reading(self, one: EdgeReading) -> str:
@@ -187,9 +186,8 @@ def prepare_solve(
     log: Log, config: SolveConfig, progress: Progress = no_progress
 ) -> Prepared[SolveConfig]:
     """Return a log as `solve` reads it. Raises InputError for what the log cannot serve."""
-    known = (
-        log.measurements.labelled if config.association is None else config.association == "known"
-    )
+    labelled = log.measurements.labelled
+    known = labelled if config.association is None else config.association == "known"
     if log.loop_closures is not None and not known:
         raise InputError(f"{log.name}: holds closures, expected measurements associated by labels")
     gps = config.gps
@@ -242,9 +240,8 @@ def solve(
         optimality = result.optimality
         misread = misread_edges(result.problem, optimality.chi_square, verified=optimality.verified)
         few = few_misread(result.problem) if "extreme" in log.provenance else None
-        unclosed = None
-        if misread is None:  # else no sigma means what it says
-            unclosed = unclosed_passage(result, estimate.pose_covariance)
+        told = misread is None  # else no sigma means what it says
+        unclosed = unclosed_passage(result, estimate.pose_covariance) if told else None
     checked = None
     if own is not None and associator is not None:
         with clock.stage("association check"):

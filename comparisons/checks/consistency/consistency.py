@@ -76,8 +76,7 @@ class Consistency(Brief):
             reported.append(
                 f"at {len(overconfident)} of {len(self.smoothed.time_s)} epochs, first at "
                 f"{self.smoothed.time_s[overconfident[0]]:.1f} s, the filter is more certain of "
-                "its pose "
-                "than the smoother, which also uses later measurements: at "
+                "its pose than the smoother, which also uses later measurements: at "
                 f"{self.smoothed.time_s[worst]:.1f} s the filter's variance is "
                 f"{self.smoothed.ratio[worst]:.2g} times the smoother's"
             )
@@ -93,10 +92,9 @@ class Consistency(Brief):
 
     def _remark(self, sensor: str, nis: Nis, reading: str, band: Band) -> str:
         of = nis.name if nis.name == sensor else f"{nis.name} ({sensor})"
-        meaning = {
-            "too high": "too high: a sigma is too small or the filter is overconfident",
-            "too low": "too low: a sigma is too large",
-        }[reading]
+        meaning = f"{reading}: a sigma is too small or the filter is overconfident"
+        if reading == "too low":
+            meaning = f"{reading}: a sigma is too large"
         if self.gated and reading == "too low" and sensor == "measurements":
             meaning += " or the association rejects the large ones"
         return (

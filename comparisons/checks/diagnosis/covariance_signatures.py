@@ -33,8 +33,7 @@ def fit(given: Array, expected: Array, *, scaled: bool = True) -> Fit | None:
         return None
     middle = _middle(low, high)
     factor = float(np.median(middle)) if scaled else 1.0
-    if abs(factor - 1.0) <= LIKE_VARIANCE:
-        factor = 1.0
+    factor = 1.0 if abs(factor - 1.0) <= LIKE_VARIANCE else factor
     bad = (low * _FITS < factor) | (high > factor * _FITS)
     most = max(1.0, _MOST_EXCEPTIONS * len(bad)) if len(bad) > 1 else 0.0
     return Fit(factor, bad) if bad.sum() <= most else None
@@ -198,8 +197,7 @@ def _turned(covariance: Array, heading: Array) -> Array:
 def _shuffled(given: Array, expected: Array) -> str:
     """Landmarks whose covariance is that of another."""
     own, other = eigenvalues(given, expected), []
-    off = np.flatnonzero((own[0] * _FITS < 1.0) | (own[1] > _FITS))
-    for k in off:
+    for k in np.flatnonzero((own[0] * _FITS < 1.0) | (own[1] > _FITS)):
         low, high = eigenvalues(np.broadcast_to(given[k], expected.shape), expected)
         other.append(bool(((low * 1.01 > 1.0) & (high < 1.01)).any()))
     return f"{sum(other)} of {len(given)}" if other and all(other) else ""

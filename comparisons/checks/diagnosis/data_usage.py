@@ -60,32 +60,25 @@ def data_faults(
 
     labelled: the filter was to go by the log's labels. timed: when it used them is asked for.
     """
-    trace, timeline = run.trace, run.timeline
-    uses = (trace.measurements[POINT], trace.initialisations[POINT])
-    number, step, weight = (
-        np.concatenate([getattr(use, name) for use in uses])
-        for name in ("number", "step", "weight")
-    )
-    seen = number >= 0
-    fixes = trace.positions
-    kinds = (
-        ("measurements", number[seen], step[seen], weight[seen], timeline.measurement_epoch),
-        ("positions", fixes.number, fixes.step, fixes.weight, timeline.position_epoch),
-    )
-    found = []
-    for kind, which, when, share, epoch in kinds:
+    trace, timeline, found = run.trace, run.timeline, []
+    uses = trace.measurements[POINT], trace.initialisations[POINT]
+    for kind, records, epoch in (
+        ("measurements", uses, timeline.measurement_epoch),
+        ("positions", (trace.positions,), timeline.position_epoch),
+    ):
+        number, step, weight = (
+            np.concatenate([getattr(use, name)[use.number >= 0] for use in records])
+            for name in ("number", "step", "weight")
+        )
         if timed:
-            found += _late(kind, when, timeline.steps_until()[epoch[which]])
-        found += _counted(kind, which, share)
+            late = step - timeline.steps_until()[epoch[number]]
+            found += untimely(kind, late, 0.0, "{} odometry steps")
+        found += _counted(kind, number, weight)
     if labelled:
         label = log.measurements.landmark[: len(run.landmark_index)]
         found += _labels(label, run.landmark_index) or _names(label, run)
         found += _gated(log, run, smoothed)
     return tuple(found)
-
-
-def _late(kind: str, step: Index, due: Index) -> list[DataFault]:
-    return untimely(kind, step - due, 0.0, "{} odometry steps")
 
 
 def untimely(kind: str, late: Array | Index, most: float, form: str) -> list[DataFault]:
@@ -125,30 +118,27 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[DataFault]:
     pairs, count = np.unique(
         np.column_stack((label[used], landmark_index[used])), axis=0, return_counts=True
     )
-    found = []
-    labels, landmark_indices = (np.unique(pairs[:, k], return_counts=True) for k in (0, 1))
-    if (landmark_indices[1] > 1).any():
-        mixed = landmark_indices[0][landmark_indices[1] > 1]
+    (labels, spread), (landmarks, shared) = (
+        np.unique(pairs[:, k], return_counts=True) for k in (0, 1)
+    )
+    if (shared > 1).any():
+        mixed = landmarks[shared > 1]
         usual = sum(int(count[pairs[:, 1] == one].max()) for one in mixed)
         stray = int(count[np.isin(pairs[:, 1], mixed)].sum()) - usual
-        found.append(
-            DataFault(
-                f"measurements with different labels are assigned to one landmark: {len(mixed)} of "
-                f"{len(landmark_indices[0])} landmarks, {stray} measurements",
-                "check how a label becomes a landmark index of the map",
-            )
+        evidence = (
+            f"measurements with different labels are assigned to one landmark: {len(mixed)} of "
+            f"{len(landmarks)} landmarks, {stray} measurements"
         )
-    elif (labels[1] > 1).any():
-        worst = int(labels[1].argmax())
-        found.append(
-            DataFault(
-                f"measurements of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
-                f"assigned to several landmarks, those of label {labels[0][worst]} to "
-                f"{labels[1][worst]}",
-                "check for landmarks that are initialised again although they are in the map",
-            )
+        return [DataFault(evidence, "check how a label becomes a landmark index of the map")]
+    if (spread > 1).any():
+        worst = int(spread.argmax())
+        evidence = (
+            f"measurements of {np.count_nonzero(spread > 1)} of {len(labels)} labels are assigned "
+            f"to several landmarks, those of label {labels[worst]} to {spread[worst]}"
         )
-    return found
+        hint = "check for landmarks that are initialised again although they are in the map"
+        return [DataFault(evidence, hint)]
+    return []
 
 
 def _names(label: NDArray[np.int64], run: EkfRun) -> list[DataFault]:
@@ -187,8 +177,7 @@ def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[DataFault]:
     return [
         DataFault(
             f"{fitting} of {total} labelled measurements were rejected although they fit the "
-            "optimum "
-            "within their own noise",
+            "optimum within their own noise",
             "check the gate: it must compare the squared Mahalanobis distance with a chi-square "
             "quantile, not with a number of sigmas; or check why the filter is overconfident",
         )

@@ -282,8 +282,7 @@ def _within(motions: Sequence[Motion], found: Motion) -> Motion:
     """
     alone = [one for one in motions if one.gap in ("time", "scale", "lever") and one.free <= 2]
     for one in sorted(alone, key=lambda one: (one.free, one.left_m)):
-        explains = one.left_m <= _PARTLY * motions[0].left_m
-        if explains and one.left_m < _CLEARLY_LESS * found.left_m:
+        if one.left_m <= _PARTLY * motions[0].left_m and one.left_m < _CLEARLY_LESS * found.left_m:
             found = one
     return found
 
@@ -294,15 +293,11 @@ def _motions(paths: Paths) -> Iterator[Motion]:
     yield motion("", 0, u - v, "", "")
     for free, fit in _FRAMES:
         a, b, said = fit(u, v)
-        if not a:
-            continue  # a path without extent has no scale
-        gap, hint = "frame", _FRAME_HINT
-        if abs(abs(a) - 1.0) > _LEAST_SCALE:
-            gap, hint = "scale", _SCALE_HINT
-        elif "times" in said:
-            continue  # of a scale that is none
-        left = (u - a * v - b) / abs(a)
-        yield motion(gap, free, left, said, hint, Moved(a, b))
+        grown = abs(abs(a) - 1.0) > _LEAST_SCALE
+        if not a or ("times" in said and not grown):
+            continue  # a path without extent has no scale; or of a scale that is none
+        gap, hint = ("scale", _SCALE_HINT) if grown else ("frame", _FRAME_HINT)
+        yield motion(gap, free, (u - a * v - b) / abs(a), said, hint, Moved(a, b))
     for said, flipped in (
         ("y has the opposite sign", v.conj()),
         ("x has the opposite sign", -v.conj()),

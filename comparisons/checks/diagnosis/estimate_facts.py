@@ -66,14 +66,13 @@ def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]
 
 def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
     """Hand it in, or under the log's ids where it lies at landmarks of others."""
-    others = np.setdiff1d(np.arange(len(found.reference.landmark)), found.theirs)
+    reference = found.reference
+    others = np.setdiff1d(np.arange(len(reference.landmark)), found.theirs)
     if given.landmark is None or given.landmark_id is None or not len(others):
         return _MAP_HINT
-    more = np.setdiff1d(np.arange(len(given.landmark)), found.ours)
-    place = found.reference.landmark[others]
-    names = [found.reference.landmark_name(row) for row in others.tolist()]
-    pairs = []
-    for row in more:
+    place, pairs = reference.landmark[others], []
+    names = [reference.landmark_name(row) for row in others.tolist()]
+    for row in np.setdiff1d(np.arange(len(given.landmark)), found.ours):
         apart = np.linalg.norm(place - given.landmark[row], axis=1)
         if apart.min() <= _AT_M:
             pairs.append(f"{given.landmark_id[row]} at landmark {names[apart.argmin()]}")

@@ -25,6 +25,9 @@ from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
 from comparisons.logs.log import Log
 from comparisons.plane import pose_difference, turned
 
+_ENTRIES = (("x", "m"), ("y", "m"), ("heading", "rad"))
+"""Of a pose, with their units."""
+
 
 def explain(
     log: Log, run: EkfRun, rounding: float = 0.0, *, same_steps: bool = True
@@ -48,10 +51,7 @@ def explain(
 def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     (off,) = pose_difference(run.trace.prior_pose[None], log.prior.pose)
     sigma = np.sqrt(np.diag(log.prior.covariance))
-    for name, unit, apart, size in zip(
-        ("x", "y", "heading"), ("m", "m", "rad"), off.tolist(), log.prior.pose.tolist(),
-        strict=True,
-    ):  # fmt: skip
+    for (name, unit), apart, size in zip(_ENTRIES, off.tolist(), log.prior.pose, strict=True):
         if abs(apart) > EQUAL + 4.0 * rounding * max(abs(size), np.pi):
             yield f"the prior's {name} differs from the log's by {apart:+.4g} {unit}"
     scale = np.outer(sigma, sigma)
@@ -72,7 +72,7 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     elif np.abs(have - factor * meant).max() <= limit:
         yield times("the prior's covariance", "the log's")(factor)
     else:
-        for k, name in enumerate(("x", "y", "heading")):
+        for k, (name, _) in enumerate(_ENTRIES):
             ratio = run.trace.prior_covariance[k, k] / log.prior.covariance[k, k]
             if abs(ratio - 1.0) > limit:
                 yield times(f"the prior's variance of {name}", "the log's")(ratio)

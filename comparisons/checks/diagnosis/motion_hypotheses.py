@@ -47,10 +47,8 @@ class _Drive:
     def steps(self, rows: Index) -> tuple[Array, Array]:
         """Return moves (R, 3), ahead, left and turned, and B (R, 3, m) in the map."""
         each: list[MotionStep] = [
-            self.model.step(pose, control, float(s))
-            for pose, control, s in zip(
-                self.departed[rows], self.control[rows], self.duration_s[rows], strict=True
-            )
+            self.model.step(self.departed[k], self.control[k], float(self.duration_s[k]))
+            for k in rows
         ]
         by_control = np.array([one.jacobian_control for one in each])
         arrived = np.array([one.pose for one in each])
