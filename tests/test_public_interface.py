@@ -9,8 +9,6 @@ import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
-from html import unescape
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ import pytest
 
 import slamcheck
 from comparisons.report.html.shell import prose
+from tests.comparisons.test_html_report import Reader
 from tests.processes import printed, python
 from tests.release_check import ROOT, version
 
@@ -288,34 +287,10 @@ def test_results_and_what_they_hold_print_in_one_line(
             assert "\n" not in text, type(one)
 
 
-class _Seen(HTMLParser):
-    """Tags that are open, all that were used, their attributes, and the text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: set[str] = set()
-        self.attributes: set[str] = set()
-        self.text = ""
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        self.attributes |= {name for name, _ in attrs}
-        if tag not in ("img", "input", "meta"):  # which have no end
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
 def test_a_name_taken_for_markup_is_seen() -> None:
-    seen = _Seen()
-    seen.feed(f"<b>{HOSTILE}</b>")
+    seen = Reader(f"<b>{HOSTILE}</b>")
     assert "script" in seen.tags
-    assert "onerror" in seen.attributes
+    assert "onerror" in seen.names
 
 
 SHOWN = {"Comparison", "ExternalCheck", "Solution", "MonteCarlo", "Log", "Estimate"}
@@ -323,22 +298,22 @@ SHOWN = {"Comparison", "ExternalCheck", "Solution", "MonteCarlo", "Log", "Estima
 
 def framed(result: Any) -> str:
     """The page in the frame that a notebook shows of a result; nothing of it is outside."""
-    shown, outer = result._repr_html_(), _Seen()
-    outer.feed(shown)
-    assert outer.tags == {"iframe"}
-    assert outer.attributes == {"sandbox", "srcdoc", "style"}
-    assert 'sandbox="allow-scripts"' in shown
-    return unescape(shown.split('srcdoc="')[1].split('"')[0])
+    outer = Reader(result._repr_html_())
+    assert outer.tags == ["iframe"]
+    assert outer.names == {"sandbox", "srcdoc", "style"}
+    given = {name: value for _, name, value in outer.attributes}
+    assert given["sandbox"] == "allow-scripts"
+    return given["srcdoc"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SHOWN))
 def test_a_result_shows_itself_in_a_notebook(name: str, results: dict[str, Any]) -> None:
-    page, seen = framed(results[name]), _Seen()
-    seen.feed(page)
+    page = framed(results[name])
+    seen = Reader(page)
     assert "default-src 'none'" in page
     assert "config.toml" not in seen.text.partition("const data")[0], "no folder is beside it"
-    assert not {one for one in seen.attributes if one.startswith("on")}
+    assert not {one for one in seen.names if one.startswith("on")}
     assert len(page) < 600_000
     assert len(repr(results[name])) < 300
     if name not in ("MonteCarlo", "Estimate"):

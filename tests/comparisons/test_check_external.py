@@ -24,7 +24,7 @@ from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
-from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.estimates.folder import read_estimate, tum_text, write_estimate
 from comparisons.estimates.trajectory_files import in_seconds, retimed
 from comparisons.jobs.check import check, check_external
 from comparisons.logs.bundled import open_log
@@ -330,6 +330,9 @@ def test_a_covariance_that_is_none_is_found(log: Log, whole: ExternalEstimate) -
 
 def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Estimate) -> None:
     write_estimate(right, tmp_path)
+    again = read_estimate(tmp_path)
+    assert np.allclose(again.pose, right.pose, rtol=0, atol=1e-12)
+    assert np.array_equal(again.joint_covariance, right.joint_covariance)
     given = read_external(tmp_path)
     assert given.absent == []
     assert given.information == "filtered"
@@ -339,9 +342,30 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
     assert np.allclose(read_external(tmp_path / "trajectory.tum").pose, right.pose)
 
 
+def edited(file: str, old: str, new: str) -> Callable[[Path], object]:
+    def change(folder: Path) -> None:
+        text = (folder / file).read_text()
+        assert old in text
+        (folder / file).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+def without_a_turn(folder: Path) -> None:
+    path = folder / "trajectory.tum"
+    first, *others = path.read_text().splitlines()
+    path.write_text("\n".join([" ".join([*first.split()[:4], "0 0 0 0"]), *others]))
+
+
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
+        (edited("estimate.toml", "version = 1", "version = 9"), "version: input should be 1"),
+        (edited("estimate.toml", '"filtered"', '"guessed"'), "input should be 'filtered'"),
+        (edited("estimate.toml", "version = 1", "version = 1\nvresion = 1"), "vresion: extra"),
+        (edited("estimate.toml", "version = 1", "version ="), "not valid TOML"),
+        (edited("trajectory.tum", "\n", "\n0.0 0 0 0 0 0 0 1\n"), "trajectory.tum:2: time"),
+        (without_a_turn, r"quaternion's norm is 0\.0"),
         (lambda p: (p / "trajectory.tum").unlink(), "no such file"),
         (lambda p: (p / "trajectory.tum").write_text("0 1 2\n"), "trajectory.tum:1"),
         (lambda p: (p / "trajectory.tum").write_text(""), "no poses"),
@@ -368,6 +392,8 @@ def test_damaged_estimates_are_named(
     change(tmp_path)
     with pytest.raises(InputError, match=fault):
         read_external(tmp_path)
+    with pytest.raises(InputError):
+        read_estimate(tmp_path)
 
 
 def test_another_clock_is_told(log: Log, whole: ExternalEstimate) -> None:

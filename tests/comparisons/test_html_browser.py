@@ -10,12 +10,11 @@ import pytest
 
 from comparisons.jobs.run import Comparison
 from comparisons.report.html.shell import script
-from tests.comparisons.browser import came_up, look
+from tests.comparisons.browser import came_up, look, noted
 from tests.comparisons.test_html_report import HOSTILE
 from tests.helpers import compared, present, simulated, written
 
 pytestmark = pytest.mark.browser
-POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 
 @pytest.fixture(scope="module")
@@ -28,25 +27,6 @@ def comparison() -> Comparison:
 @pytest.fixture(scope="module")
 def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(comparison, tmp_path_factory.mktemp("run") / "report") / "report.html"
-
-
-def tried(report: Path, tmp_path: Path, steps: str) -> str:
-    """The page, left to the browser with more script that acts as a reader would.
-
-    Frames are rare without a screen, so that what waits for one is done at once.
-    """
-    text = POLICY.sub("", report.read_text(encoding="utf-8"))
-    at_once = "<body><script>window.requestAnimationFrame = draw => draw();</script>"
-    text = text.replace("<body>", at_once, 1)
-    page = tmp_path / "tried.html"
-    page.write_text(text.replace("</body>", f"<script>{steps}</script></body>"), encoding="utf-8")
-    return look(page.as_uri(), tmp_path / "profile")
-
-
-def shown(dom: str, name: str) -> str:
-    """What the steps noted under a name."""
-    found = present(re.search(f'data-{name}="([^"]*)"', dom.split("<head", 1)[0]))
-    return found[1]
 
 
 @pytest.mark.slow
@@ -112,7 +92,7 @@ def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_p
 
 
 STEPS = """
-const noted = document.documentElement.dataset;
+noted.ready = document.documentElement.dataset.ready;
 const box = document.getElementById('map').viewBox.baseVal;
 const curve = document.querySelector('svg.curve'), at = curve.getBoundingClientRect();
 const spot = (x, more = {}) => ({ clientX: at.left + x * at.width, clientY: at.top + 50,
@@ -178,15 +158,18 @@ noted.linked = rows.at(-1).classList.contains('chosen');
 
 @pytest.mark.slow
 def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
-    dom = tried(report, tmp_path, STEPS)
-    assert came_up(dom)
-    assert shown(dom, "now") == "2"  # the pose on both trajectories
-    assert shown(dom, "cursors") == "6"  # all curves over time
-    whole, wheel, drag = (shown(dom, name) for name in ("whole", "wheel", "drag"))
-    assert len({whole, wheel, drag}) == 3
-    assert shown(dom, "none") == "0"
-    for name in ("zoomed", "label", "chosen", "pinched", "left", "one", "all", "linked", "slid"):
-        assert shown(dom, name) == "true", name
+    # Frames are rare without a screen, so that what waits for one is done at once.
+    at_once = "<body><script>window.requestAnimationFrame = draw => draw();</script>"
+    page = tmp_path / "tried.html"
+    page.write_text(report.read_text("utf-8").replace("<body>", at_once, 1), "utf-8")
+    found = noted(page, tmp_path, STEPS)
+    assert found.pop("ready") == "yes"
+    assert len({found.pop(name) for name in ("whole", "wheel", "drag")}) == 3
+    assert found.pop("now") == 2  # the pose on both trajectories
+    assert found.pop("cursors") == 6  # all curves over time
+    assert found.pop("none") == 0
+    names = {"zoomed", "label", "chosen", "pinched", "left", "one", "all", "linked", "slid"}
+    assert found == dict.fromkeys(names, True)
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 from comparisons.atomic import LIST, _write_list, check_replaceable, folder_name, fresh_folder
 from comparisons.config import CheckConfig, MapConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.estimates.folder import read_estimate, write_estimate
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
@@ -175,41 +174,6 @@ def test_a_folder_of_another_run_is_refused(comparison: Comparison, tmp_path: Pa
     (folder / "mine.txt").write_text("keep")
     with pytest.raises(InputError, match=r"already holds mine\.txt"):
         check_free(folder, same, replace=True)
-
-
-ESTIMATE_FAULTS = {
-    "version": ("estimate.toml", "version = 1", "version = 9", "version: input should be 1"),
-    "kind": ("estimate.toml", '"filtered"', '"guessed"', "information: input should be 'filtered'"),
-    "misspelt": ("estimate.toml", "version = 1", "version = 1\nvresion = 1", "vresion: extra"),
-    "toml": ("estimate.toml", "version = 1", "version =", "not valid TOML"),
-}
-
-
-def test_estimates_read_back_and_faults_are_named(comparison: Comparison, tmp_path: Path) -> None:
-    estimate = comparison.ekf.estimate
-    write_estimate(estimate, tmp_path)
-    again = read_estimate(tmp_path)
-    assert np.allclose(again.pose, estimate.pose, rtol=0, atol=1e-12)
-    assert np.array_equal(again.joint_covariance, estimate.joint_covariance)
-    assert again.information == "filtered"
-    for file, old, new, message in ESTIMATE_FAULTS.values():
-        path = tmp_path / file
-        text = path.read_text()
-        path.write_text(text.replace(old, new, 1))
-        with pytest.raises(InputError) as caught:
-            read_estimate(tmp_path)
-        assert message in str(caught.value)
-        path.write_text(text)
-    path = tmp_path / "trajectory.tum"
-    lines = path.read_text().splitlines()
-    for damaged, message in (
-        ([lines[1], lines[0], *lines[2:]], "trajectory.tum:2: time"),
-        ([" ".join([*lines[0].split()[:4], "0 0 0 0"]), *lines[1:]], "quaternion's norm is 0.0"),
-    ):
-        path.write_text("\n".join(damaged))
-        with pytest.raises(InputError) as caught:
-            read_estimate(tmp_path)
-        assert message in str(caught.value)
 
 
 def test_processor_time_stands_beside_wall_time(comparison: Comparison) -> None:

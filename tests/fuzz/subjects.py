@@ -7,8 +7,8 @@ import shutil
 import sqlite3
 import struct
 import tempfile
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,6 +102,13 @@ class Subject:
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
+
+    @contextmanager
+    def written(self) -> Iterator[Path]:
+        """A folder that goes again, with a valid one."""
+        with tempfile.TemporaryDirectory() as name:
+            self.write(Path(name))
+            yield Path(name)
 
 
 @functools.cache

@@ -4,7 +4,6 @@ import gzip
 import importlib.util
 import io
 import os
-import tempfile
 import tomllib
 import tracemalloc
 import zipfile
@@ -34,9 +33,7 @@ NEEDS_BAGS = pytest.mark.skipif(
 def replaced(name: str, file: str, old: str, new: str) -> str:
     """What is said of a subject with a piece of text replaced."""
     subject = SUBJECTS[name]
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        subject.write(folder)
+    with subject.written() as folder:
         text = (folder / file).read_text()
         assert old in text
         (folder / file).write_text(text.replace(old, new, 1))

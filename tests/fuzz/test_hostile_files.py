@@ -9,7 +9,6 @@ import io
 import json
 import signal
 import sys
-import tempfile
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -58,9 +57,7 @@ def assert_one_line(code: int, reported: str, place: Path) -> None:
 
 def attempt(subject: Subject, hurt: list[Damage]) -> None:
     """Open a damaged one."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        subject.write(folder)
+    with subject.written() as folder:
         for damage in hurt:
             damage.apply(folder)
         assert_one_line(*outcome(lambda: subject.read(folder)), folder)
@@ -69,9 +66,8 @@ def attempt(subject: Subject, hurt: list[Damage]) -> None:
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_a_sound_one_is_read(name: str) -> None:
     attempt(SUBJECTS[name], [])
-    with tempfile.TemporaryDirectory() as folder:
-        SUBJECTS[name].write(Path(folder))
-        SUBJECTS[name].read(Path(folder))
+    with SUBJECTS[name].written() as folder:
+        SUBJECTS[name].read(folder)
 
 
 @pytest.mark.slow
@@ -125,9 +121,7 @@ def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
     words = COMMANDS[name].split()
     inputs = tuple(word.lower() for word in words if word.isupper() and word != "OUT")
     hurt = data.draw(damages([f for f in sorted(WHOLE.files) if f.startswith(inputs)]))
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        WHOLE.write(folder)
+    with WHOLE.written() as folder:
         given_in = {path.name for path in folder.iterdir()}
         for damage in hurt:
             damage.apply(folder)

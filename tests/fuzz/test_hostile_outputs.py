@@ -4,7 +4,6 @@ import functools
 import hashlib
 import os
 import stat
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -133,9 +132,7 @@ def test_what_stands_stays(
 ) -> None:
     """A folder with strange files, a list of them or none; or what is no folder at all."""
     counted("what stands where an output goes")
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        WHOLE.write(folder)
+    with WHOLE.written() as folder:
         out = folder / "out"
         if within:
             out.mkdir()

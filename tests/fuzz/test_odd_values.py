@@ -6,7 +6,6 @@ import os
 import re
 import resource
 import signal
-import tempfile
 import time
 import types
 import typing
@@ -175,9 +174,7 @@ def arguments(command: str, folder: Path, given_values: list[tuple[str, str]]) -
 
 def odd(command: str, given_values: list[tuple[str, str]]) -> tuple[int, str]:
     """A command with odd values, in a folder of its own."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        WHOLE.write(folder)
+    with WHOLE.written() as folder:
         given_in = {path.name for path in folder.iterdir()}
         words = arguments(command, folder, given_values)
         code, reported = in_child(lambda: outcome(lambda: run_main(words)))
@@ -188,17 +185,13 @@ def odd(command: str, given_values: list[tuple[str, str]]) -> tuple[int, str]:
 
 def full_disk(command: str, file_bytes: int, earlier: bool) -> int:
     """A command where no file can grow beyond some bytes, beside an earlier output or not."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        WHOLE.write(folder)
+    with WHOLE.written() as folder:
         out = folder / "out"
+        words = arguments(command, folder, [])
         if earlier and not command.startswith("convert"):
-            assert (
-                in_child(lambda: outcome(lambda: run_main(arguments(command, folder, []))))[0] < 4
-            )
+            assert in_child(lambda: outcome(lambda: run_main(words)))[0] < 4
         given_in = {path.name for path in folder.iterdir()}
         before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
-        words = arguments(command, folder, [])
         code, reported = in_child(lambda: outcome(lambda: run_main(words)), file_bytes)
         assert_clean(code, reported)
         if code == 2:
@@ -235,9 +228,7 @@ def test_a_full_disk_leaves_what_was_there(command: str, file_bytes: int, earlie
 def test_a_killed_command_goes_again(command: str, number: int, delay_s: float) -> None:
     """The target is whole or absent; the same command works, but no log is ever overwritten."""
     counted("kills of a command")
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        WHOLE.write(folder)
+    with WHOLE.written() as folder:
         words = arguments(command, folder, [])
         code, reported = in_child(lambda: outcome(lambda: run_main(words)), kill=(number, delay_s))
         left = [p for p in folder.rglob("*") if is_unfinished(p.name)]

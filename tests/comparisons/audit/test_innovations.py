@@ -138,15 +138,6 @@ def test_a_fault_has_a_time() -> None:
     assert timed[0].what.endswith(", expected 2")
 
 
-def test_a_gate_that_begins_to_reject_has_a_time() -> None:
-    z, used = white(2000, 4), np.ones(2000, dtype=bool)
-    used[700:720] = False
-    used[1500] = False
-    timed = [one for one in departed(z, used, 0.99999) if "rejects" in one.what]
-    assert len(timed) == 1
-    assert timed[0].event == 7000
-
-
 @pytest.mark.parametrize("rejected", [0, 3, 20, 34])
 def test_a_rate_of_rejections_has_the_binomials_two_tails(rejected: int) -> None:
     used = np.arange(2000) >= rejected
@@ -359,8 +350,9 @@ def test_a_lock_out_is_said_with_its_beginning() -> None:
     (found,) = gate_of(rows >= 360, 0.99)
     assert found.what.endswith("nominal 1 %): everything from 36 s on, 40 in a row")
     assert (found.event, found.fault) == (3600, True)
-    (found,) = gate_of((rows >= 100) & (rows < 140), 0.99)
+    (found,) = gate_of((rows >= 100) & (rows < 140) | (rows == 390), 0.99)
     assert found.what.endswith("nominal 1 %): 40 in a row, from 10 s to 13.9 s")
+    assert found.event == 1000
     (found,) = gate_of(rows % 10 == 0, 0.99)
     assert found.what == "rejects 40 of 400 (10 %, nominal 1 %)"
     assert gate_of(rows == 7, 0.99) == []

@@ -55,13 +55,6 @@ def test_two_together_decide_what_one_cannot() -> None:
     assert rule.assign(lost, MODEL, both).tolist() == [0, 1]
 
 
-def test_higher_odds_decide_less() -> None:
-    lost = mapped(heading_sigma=0.2)
-    scan = seen((5.0, 0.5))
-    assert ConsensusAssociation(odds=1.0).assign(lost, MODEL, scan).tolist() == [0]
-    assert ConsensusAssociation(odds=1e6).assign(lost, MODEL, scan).tolist() == [AMBIGUOUS]
-
-
 @pytest.mark.parametrize(("share", "decided"), [(0.9, True), (1.1, False)])
 def test_odds_are_a_ratio_of_densities(share: float, decided: bool) -> None:
     """Discs and new landmarks apart, two hypotheses have the Gaussians' densities."""
