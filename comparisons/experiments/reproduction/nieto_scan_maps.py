@@ -70,7 +70,7 @@ _NEAR_M = 0.5
 _MARK_M = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanMap:
     """A dense map between scan landmarks, whose loop was closed. found: the landmarks.
 
@@ -145,7 +145,14 @@ def _mapped(log: Log) -> ScanMap:
     first = first_measurements(run)
     born = poses.at(run.estimate.time_s[run.pose_landmarks.pose[first]])
     true = true_axes(born, run.pose_landmarks.measured[first])
-    return ScanMap(mapping, source.found, before, segment, born, true)
+    return ScanMap(
+        mapping=mapping,
+        found=source.found,
+        before=before,
+        segment=segment,
+        born=born,
+        true=true,
+    )
 
 
 def cases_of(one: ScanMap) -> list[Seen]:
