@@ -10,7 +10,6 @@ from typing import Any
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.check import Check, Question
-from comparisons.checks.of_events import EVENT_CHECKS
 from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.config import config_class
 from comparisons.errors import InputError
@@ -26,6 +25,13 @@ def every_check(extensions: Iterable[str] = EXTENSIONS) -> Iterator[type[Check]]
     yield from map(type, (*CHECKS, *EXPLAINING))
     for name in extensions:
         yield resolve_name(config_class(name).extension)
+
+
+def event_checks() -> list[type[Question[Any]]]:
+    """Return the checks of an audit, which a run's page does without."""
+    from comparisons.checks.of_events import EVENT_CHECKS
+
+    return [type(one) for one in EVENT_CHECKS]
 
 
 def every_explanation() -> dict[str, Explanation]:
@@ -46,7 +52,7 @@ def overview() -> str:
     asked = [(one.name, _question(one)) for one in every_check()]
     own = len(asked) - len(EXTENSIONS)
     checks, more = asked[:own], asked[own:]
-    events = [(one.name, _question(type(one))) for one in EVENT_CHECKS]
+    events = [(one.name, _question(one)) for one in event_checks()]
     causes = [(name, one.title) for name, one in every_explanation().items()]
     longest = max(len(name) for name, _ in (*asked, *events, *causes)) + 2
     lines = []
@@ -64,7 +70,7 @@ def overview() -> str:
 def explanation(name: str) -> str:
     """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
     asked = _spoken(name)
-    checks: list[type[Question[Any]]] = [*every_check(), *map(type, EVENT_CHECKS)]
+    checks: list[type[Question[Any]]] = [*every_check(), *event_checks()]
     kinds = every_explanation()
     parts = ["\n".join(_of_check(one)) for one in checks if _spoken(one.name) == asked]
     asked = asked.removesuffix(" gap")

@@ -16,7 +16,6 @@ from comparisons.checks.agreement import Allowed
 from comparisons.checks.check import Check, Question
 from comparisons.checks.explaining import CheckDropouts, Explaining
 from comparisons.checks.finding import Absent, Finding
-from comparisons.checks.of_events import EVENT_CHECKS
 from comparisons.checks.qualifiers import TRUTH_GAP
 from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.checks.verdict import counting, decided, faulty
@@ -28,7 +27,7 @@ from comparisons.logs.log import Log, Truth
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.records import Records
 from comparisons.pipeline.solve import solve
-from comparisons.report.explain import every_check
+from comparisons.report.explain import event_checks, every_check
 from comparisons.report.html.page import page
 from comparisons.report.job import Report, report_of
 from comparisons.report.panels import known_panels
@@ -48,7 +47,7 @@ def as_it_is(log: Log) -> Log:
 
 @pytest.mark.parametrize(
     "check",
-    [*every_check(), *map(type, EVENT_CHECKS)],
+    [*every_check(), *event_checks()],
     ids=lambda one: f"{one.name} ({one.of})",
 )
 def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(

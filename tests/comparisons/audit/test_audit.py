@@ -171,7 +171,6 @@ FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
     ("gps", lambda p, before: 1.02 * p, "position", "was then multiplied by 1.02"),
     ("clone", uncorrelated_clone, "clone position", "was not correlated"),
     ("remove", wrong_removal, "clone", "not marginalised"),
-    ("gps", lambda p, before: swapped(p, "velocity", "bias", 1e-3), "velocity bias", "off by"),
 ]
 """At which event, what becomes of P, the blocks that are named, and the words."""
 
@@ -218,6 +217,14 @@ def test_what_happens_at_every_update_is_one_finding(tmp_path: Path) -> None:
     faults = [one for one in found.findings if one.check == "algebra"]
     assert len(faults) == 1
     assert "more" in faults[0].text
+
+
+def test_an_unknown_error_is_told_by_what_differs(tmp_path: Path) -> None:
+    alter, done = once("gps", 80, lambda p, before: swapped(p, "velocity", "bias", 1e-3))
+    found = audited(tmp_path, Toy(seed=2, alter=alter))
+    first = found.findings[0]
+    assert (first.event, first.blocks) == (done[0], ("velocity", "bias"))
+    assert "off by" in first.text
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ PLANAR = (
     *("comparisons.pipeline", "graphslam.problem", "graphslam.smoother"),
 )
 """Beginnings of what knows a planar log, a filter or a smoother of it."""
+OF_ANY = ("", ".check", ".finding", ".of_events")
+"""Of the checks: what one is, and those of events."""
 _LIST = """
 import sys
 HOUSE = ("comparisons", "ekf_reference", "graphslam", "slamcheck")
@@ -36,7 +38,8 @@ def _loaded(code: str) -> list[str]:
 
 def planar(found: list[str]) -> list[str]:
     """Those of modules that the ground floor and an audit do without."""
-    return [name for name in found if name.startswith(PLANAR)]
+    any_job = [f"comparisons.checks{name}" for name in OF_ANY]
+    return [name for name in found if name.startswith(PLANAR) and name not in any_job]
 
 
 def _faulty(path: Path) -> None:
