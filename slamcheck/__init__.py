@@ -431,7 +431,7 @@ def audit(trace: str | Path, *, tolerance: float = 1e-6, progress: Progress | No
         InputError: The file is no trace, is damaged, or an event cannot be what it says.
     """
     check_packages()
-    from comparisons.audit.audit import audit as audit_trace
+    from comparisons.checks.of_events import audit_trace
 
     return audit_trace(trace, tolerance, progress)
 

@@ -6,9 +6,11 @@ All of them read the figures of one pass through the events; see comparisons.aud
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-from comparisons.audit.audit import LARGEST_ANCHORED, AlgebraGap, Audit
+from comparisons.audit.audit import LARGEST_ANCHORED, AlgebraGap, Audit, Progress
+from comparisons.audit.audit import audit as go_through
 from comparisons.audit.spurious import LearntDirection
 from comparisons.checks.check import Question
 from comparisons.checks.finding import Absent, Finding, Findings
@@ -18,7 +20,6 @@ from comparisons.statistics import Averaged
 from comparisons.words import Row
 
 _STATISTICAL = "on 1 of 1,000 sound linear traces, together with the other statistical checks"
-
 _MOST_LINES = 3
 """Sensors that are named below the verdict."""
 
@@ -32,9 +33,15 @@ class KnownEvents(Findings, Brief):
     absent: dict[str, str] = field(default_factory=dict)
 
 
-def ask_events(audit: Audit) -> KnownEvents:
+def audit_trace(path: str | Path, tolerance: float, progress: Progress | None = None) -> Audit:
+    """Audit a trace, and say what it lacks for a check; see `comparisons.audit.audit.audit`."""
+    found = go_through(path, tolerance, progress)
+    return replace(found, not_checked=ask_events(found).absent)
+
+
+def ask_events(found: Audit) -> KnownEvents:
     """Return what all checks find in an audit."""
-    known = KnownEvents(audit)
+    known = KnownEvents(found)
     for check in EVENT_CHECKS:
         check.ask(known)
     return known
@@ -62,14 +69,6 @@ class EventCheck(Question[KnownEvents]):
 
     of = "a check of an audit"
 
-    def find(self, known: KnownEvents) -> EventFinding | Absent:
-        """Return rows and lines."""
-        return self.found(known.audit)
-
-    def found(self, audit: Audit) -> EventFinding | Absent:
-        """Return the same of the figures."""
-        raise NotImplementedError
-
 
 class CheckSnapshots(EventCheck):
     """Is the covariance at every snapshot that of least squares over all events before it?"""
@@ -79,8 +78,9 @@ class CheckSnapshots(EventCheck):
     errs = "not at all but by rounding, for which --tolerance allows"
     figures = (("gaps", AlgebraGap),)
 
-    def found(self, audit: Audit) -> EventFinding | Absent:
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
         """Return the largest gap, and where the first one opens."""
+        audit = known.audit
         until = "" if audit.unsolved is None else f" before event {audit.unsolved:,}"
         if audit.largest_gap is None:
             return Absent(f"the trace has no snapshot{until}")
@@ -112,8 +112,9 @@ class CheckGains(EventCheck):
     needs = "gains of updates, or corrections of the estimate"
     errs = "not at all but by rounding, for which --tolerance allows"
 
-    def found(self, audit: Audit) -> EventFinding | Absent:
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
         """Return how many were compared."""
+        audit = known.audit
         if not audit.gains_compared:
             return Absent("no gain or correction is recorded")
         unlike = any(one.check == "gain" for one in audit.findings)
@@ -129,8 +130,9 @@ class CheckInnovations(EventCheck):
     errs = _STATISTICAL
     figures = (("sensors", InnovationFigures),)
 
-    def found(self, audit: Audit) -> EventFinding | Absent:
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
         """Return the figures of every sensor."""
+        audit = known.audit
         if not audit.sensors:
             return Absent("no update is recorded")
         rows = [row for one in audit.sensors for row in _sensor_rows(one)]
@@ -146,8 +148,9 @@ class CheckAgainstSmoother(EventCheck):
     errs = _STATISTICAL
     figures = (("smoother", Averaged),)
 
-    def found(self, audit: Audit) -> EventFinding | Absent:
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
         """Return the average over the snapshots."""
+        audit = known.audit
         if audit.smoother is None:
             return Absent(f"too few snapshots of at most {LARGEST_ANCHORED} entries")
         row = _averaged_row("filter minus smoother, per dof (1)", audit.smoother)
@@ -162,8 +165,9 @@ class CheckErrors(EventCheck):
     errs = _STATISTICAL
     figures = (("nees", Averaged),)
 
-    def found(self, audit: Audit) -> EventFinding | Absent:
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
         """Return the averages of the state and of its blocks."""
+        audit = known.audit
         rows = [
             _averaged_row(f"NEES per dof of block {block} (1)", one)
             for block, one in audit.nees_by_block.items()
@@ -182,22 +186,23 @@ class CheckDirections(EventCheck):
     errs = "it names what it finds, and condemns nothing"
     figures = (("spurious", LearntDirection),)
 
-    def found(self, audit: Audit) -> EventFinding | Absent:
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
         """Return how well each direction seems to be known."""
+        audit = known.audit
         if audit.spurious is None:
             return Absent("no directions are recorded")
-        known = {
+        sigma = {
             one.name: f"{one.sigma:.3g} {one.unit}".rstrip()
             for one in audit.spurious
             if one.largest is not None
         }
         rows = [
-            Row("Spurious information", f"{one.name}, seems known to", known.get(one.name, "none"))
+            Row("Spurious information", f"{one.name}, seems known to", sigma.get(one.name, "none"))
             for one in audit.spurious
         ]
         said = f"nothing learnt of {', '.join(one.name for one in audit.spurious)}"
-        if known:
-            learnt = ", ".join(f"{name} to {sigma}" for name, sigma in known.items())
+        if sigma:
+            learnt = ", ".join(f"{name} to {word}" for name, word in sigma.items())
             said = f"learnt from measurements that cannot tell it: {learnt}"
         return EventFinding(audit, rows, ("spurious", said))
 

@@ -32,7 +32,7 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
 
         folder = out or Path(f"slamcheck-audit-{folder_name(trace.stem)}")
         check_replaceable(folder, "audit.json")
-        from comparisons.audit.audit import audit as audit_trace
+        from comparisons.checks.of_events import audit_trace
 
         with progress_bar(chosen) as progress:
             found = audit_trace(trace, tolerance, progress)

@@ -55,8 +55,8 @@ class AuditReport(Report[Audit, Audit]):
 
     @staticmethod
     def build(audit: Audit, read: Clock | None = None) -> Audit:
-        """Return the findings, which are stored as they are, with what the trace lacks."""
-        return replace(audit, not_checked=ask_events(audit).absent)
+        """Return the findings, which are stored as they are."""
+        return audit
 
     @cached_property
     def known(self) -> KnownEvents:

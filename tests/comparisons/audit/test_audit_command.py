@@ -159,6 +159,7 @@ def test_where_nothing_can_be_checked_nothing_is_sound(recorded: str, tmp_path: 
              "innovations": recorded in ("a prior", "its snapshot"),
              "smoother": True, "NEES": True, "spurious": True}  # fmt: skip
     assert found["not_checked"].keys() == {name for name, it_lacks in lacks.items() if it_lacks}
+    assert slamcheck.audit(tmp_path / "run.trace").not_checked == found["not_checked"]
     words = " ".join(done.stdout.split())
     assert all(f"{name}: {why}" in words for name, why in found["not_checked"].items())
     if recorded in ("a snapshot", "gains"):
