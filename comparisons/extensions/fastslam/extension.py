@@ -24,8 +24,8 @@ from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
+from comparisons.plane import pose_difference, rms
 from comparisons.words import Row
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.fastslam.filter import Proposal
@@ -132,8 +132,7 @@ class FastSlamFinding(Finding):
         )
         self.estimates = {"fastslam": estimate}
         self.titles = {"fastslam": "FastSLAM"}
-        apart = cloud.mean - smoothed.pose
-        apart[:, 2] = wrap_angle(apart[:, 2])
+        apart = pose_difference(cloud.mean, smoothed.pose)
         distinct = cloud.slam.history.distinct()
         self.result = FastSlamResult(
             **vars(check),
@@ -141,7 +140,7 @@ class FastSlamFinding(Finding):
             length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
             level=LEVEL,
             verdict=_AGREES[check.agrees],
-            path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
+            path_m=rms(apart[:, :2]),
             difference_m=float(np.hypot(*apart[-1, :2])),
             difference_rad=float(abs(apart[-1, 2])),
             effective=float(np.mean(cloud.slam.history.effective)),

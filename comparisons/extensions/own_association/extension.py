@@ -33,6 +33,7 @@ from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
+from comparisons.plane import rms
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
@@ -132,7 +133,7 @@ def check_own_association(
         merges=partition.merges,
         pose_difference_m=pose.difference_m,
         pose_distance_sigma=pose.distance_sigma,
-        landmark_rms_m=float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
+        landmark_rms_m=rms(apart) if len(apart) else None,
         verified=optimality.verified,
         landmark_index=own,
         matched=matched,

@@ -19,8 +19,8 @@ from comparisons.checks.agreement import Gaussian, block_agreement
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure, LeftOut, Less, Named, Same
+from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.words import Cause
-from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements
@@ -149,8 +149,7 @@ def check_own_matching(
     used = (_later(filters), _later(own))
     common = sorted(used[0].keys() & used[1].keys())
     rows = [np.array([one[pair] for pair in common], dtype=np.intp) for one in used]
-    difference = filters.measured[rows[0]] - own.measured[rows[1]]
-    difference[:, 2] = wrap_angle(difference[:, 2])
+    difference = pose_difference(filters.measured[rows[0]], own.measured[rows[1]])
     spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(own, rows[1])
     information = np.linalg.inv(spread).astype(np.float64)
     squared = np.einsum("ni,nij,nj->n", difference, information, difference)
@@ -187,8 +186,8 @@ def check_own_matching(
         smoother=frames,
         pose_difference_m=pose.difference_m,
         pose_distance_sigma=pose.distance_sigma,
-        path_ekf_m=_rms(path[0]),
-        path_smoother_m=_rms(path[1]),
+        path_ekf_m=rms(path[0]),
+        path_smoother_m=rms(path[1]),
         agrees=agree and not shifted and not any(one.contradicts for one in landmarks),
         verified=optimality.verified,
         chi2=optimality.chi_square.chi2,
@@ -230,13 +229,12 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
     if not len(i):
         return Pair.of(0.0, 0.0, np.zeros(0), 3, 0)
     a, b = first.pose_landmarks[i], second.pose_landmarks[j]
-    apart = a - b
-    apart[:, 2] = wrap_angle(apart[:, 2])
+    apart = pose_difference(a, b)
     total = first.pose_landmark_covariances()[i] + second.pose_landmark_covariances()[j]
-    squared = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[:, :, None])[:, :, 0])
+    squared = squared_distance(apart, total)
     return Pair.of(
-        _rms(apart[:, :2]),
-        _rms(aligned(a[:, :2], b[:, :2]) - b[:, :2]),
+        rms(apart[:, :2]),
+        rms(aligned(a[:, :2], b[:, :2]) - b[:, :2]),
         squared,
         3,
         int(np.count_nonzero(~(squared <= GATE))),  # what is no number lies nowhere
@@ -295,11 +293,6 @@ def _in_poses_frame(seen: PoseLandmarkMeasurements, rows: Index) -> Array:
     """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
     turn = to_tangent(seen.measured[rows, 2])
     return turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
-
-
-def _rms(apart: Array) -> float:
-    """Root mean square length of rows (N, 2); 0 without any."""
-    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else 0.0
 
 
 _NAMED = 3

@@ -17,6 +17,7 @@ from comparisons.checks.accuracy import aligned
 from comparisons.extensions.scan_motion.log_by_scans import divide
 from comparisons.figures import Named, Nominal
 from comparisons.logs.log import Log, Poses, Positions
+from comparisons.plane import squared_distance
 from graphslam.increments import Samples, dead_reckoned
 from graphslam.scan import planar
 
@@ -78,9 +79,7 @@ def normalised_errors(motion: ScanMotion, poses: Poses) -> Array:
         for k in rows.tolist()
     ]
     error = np.array([planar.wrapped(e) for e in errors]).reshape(-1, 3)
-    weighed = np.linalg.solve(motion.covariance[rows], error[:, :, None])[:, :, 0]
-    result: Array = np.einsum("ni,ni->n", error, weighed)
-    return result
+    return squared_distance(error, motion.covariance[rows])
 
 
 def _by_truth(motion: ScanMotion, poses: Poses) -> IncrementCheck | None:
