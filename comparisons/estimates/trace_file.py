@@ -5,7 +5,7 @@ A recorder's trace, or `trace.npz` of 0.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
-from comparisons.estimates.event_arrays import COLUMNS, event_arrays
+from comparisons.estimates.event_arrays import COLUMNS, PlanarEvents, event_arrays
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from comparisons.trace.reader import OUTDATED, Trace
@@ -46,7 +46,8 @@ class TraceFile:
     Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
     the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
     done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
-    remarks: on the file. unsound: which noise, or prior, is no covariance, in words.
+    remarks: on the file. unsound: which noise, or prior, is no covariance, in words. removed_id:
+    (D,) of landmarks that the trace has and the estimate has not, whose places are behind its own.
     """
 
     path: Path
@@ -55,6 +56,7 @@ class TraceFile:
     remarks: tuple[str, ...]
     unsound: str = ""
     rounding: float = 0.0
+    removed_id: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def former(self) -> bool:
@@ -69,15 +71,30 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     """
     if path.suffix == ".npz":
         outdated = (f"{path.name} {OUTDATED}",)
-        return _checked(path, _former_arrays(path), landmark_id, outdated)
+        return _checked(path, _former(path), landmark_id, outdated)
     trace = Trace(path)
-    arrays = event_arrays(trace)
+    planar = event_arrays(trace)
     unsound = ""
     if trace.unsound:
         event, what = min(trace.unsound.items())
         others = len(trace.unsound) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
-    return _checked(path, arrays, landmark_id, trace.remarks, unsound)
+    return _checked(path, planar, landmark_id, trace.remarks, unsound)
+
+
+def _former(path: Path) -> PlanarEvents:
+    """Return what a `trace.npz` holds, in which each landmark has one life.
+
+    Raises InputError naming the array.
+    """
+    found = _former_arrays(path)
+    begun, used = (found[f"{part}_landmark"].astype(np.int64) for part in ("initialise", "update"))
+    order = np.argsort(begun, kind="stable")
+    stray = used[~np.isin(used, begun)]
+    if len(stray):
+        raise InputError(f"{path}: landmark {stray[0]} is initialised 0 times, expected once")
+    life = order[np.searchsorted(begun[order], used)] if len(used) else np.zeros(0, dtype=np.intp)
+    return PlanarEvents(found, life, np.zeros(0, dtype=np.intp))
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -105,18 +122,19 @@ def _former_arrays(path: Path) -> dict[str, Array]:
 
 def _checked(
     path: Path,
-    found: dict[str, Array],
+    planar: PlanarEvents,
     landmark_id: NDArray[np.int64],
     remarks: tuple[str, ...],
     unsound: str = "",
 ) -> TraceFile:
     """Return arrays as a trace, once their contents are checked. unsound: as known so far."""
+    found = planar.arrays
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found)
     unsound = unsound or _unsound(found, rounding)
     _unwrap(found)
-    landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
-    begun, updated = landmark_index["initialise"], landmark_index["update"]
+    begun, removed_id = _landmark_indices(path, planar, landmark_id)
+    updated, count = begun[planar.life], len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
         path=path,
@@ -143,6 +161,7 @@ def _checked(
         remarks=remarks,
         unsound=unsound,
         rounding=rounding,
+        removed_id=removed_id,
     )
 
 
@@ -236,24 +255,25 @@ def _unwrap(found: dict[str, Array]) -> None:
 
 
 def _landmark_indices(
-    path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]
-) -> dict[str, Index]:
-    """Places (M,) of the landmarks in the estimate, each initialised once before it is updated."""
+    path: Path, planar: PlanarEvents, landmark_id: NDArray[np.int64]
+) -> tuple[Index, NDArray[np.int64]]:
+    """Return the place (I,) of each landmark that began, and the ids (D,) of those without one.
+
+    Each of the estimate's landmarks begins once. Those that the filter has removed, or left out of
+    the estimate, are behind them.
+    """
+    ids, count = planar.arrays["initialise_landmark"].astype(np.int64), len(landmark_id)
+    gone = ~np.isin(ids, landmark_id)
+    gone[planar.removed] = True
     order = np.argsort(landmark_id)
-    landmark_indices: dict[str, Index] = {}
-    for part in ("update", "initialise"):
-        ids = found[f"{part}_landmark"].astype(np.int64)
-        stray = ids[~np.isin(ids, landmark_id)]
-        if len(stray):
-            raise InputError(
-                f"{path}: {part}_landmark holds {stray[0]}, which is not in landmarks.csv"
-            )
-        landmark_indices[part] = order[np.searchsorted(landmark_id[order], ids)]
-    times = np.bincount(landmark_indices["initialise"], minlength=len(landmark_id))
+    place = np.empty(len(ids), dtype=np.intp)
+    place[gone] = count + np.arange(np.count_nonzero(gone))
+    place[~gone] = order[np.searchsorted(landmark_id[order], ids[~gone])]
+    times = np.bincount(place[~gone], minlength=count)
     wrong = np.flatnonzero(times != 1)
     if len(wrong):
         raise InputError(
             f"{path}: landmark {landmark_id[wrong[0]]} is initialised {times[wrong[0]]} times, "
             "expected once"
         )
-    return landmark_indices
+    return place, ids[gone]
