@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, quoted
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     FILES,
@@ -87,7 +87,7 @@ class ExternalEstimate(Brief):
         if not labels:
             name = next(iter(self.labels.values()))
             raise InputError(
-                f"the estimate names landmarks by text ('{printable(name)}'), the log by numbers; "
+                f"the estimate names landmarks by text ({quoted(name)}), the log by numbers; "
                 "use the numbers of the log's measurements.csv"
             )
         known = {text: number for number, text in labels.items()}

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, printable
+from comparisons.errors import InputError, RecordError, printable, quoted
 from comparisons.logs.odometry import Integration, Odometry, RelativePoses, poses_at
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
@@ -71,7 +71,9 @@ class LandmarkMeasurements(Stream, Brief):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
-            raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
+            raise InputError(
+                f"measurements: label_gate is {quoted(self.label_gate)}, expected above 0"
+            )
         check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
         increasing("measurements", self.time_s, equal=True)
         refuse("measurements", self.range_m <= 0, "range_m", self.range_m, "above 0")
@@ -133,7 +135,9 @@ class Positions(Stream, Brief):
     def __post_init__(self) -> None:
         antenna = tuple(float(value) for value in self.antenna_m)
         if len(antenna) != 2 or not np.isfinite(antenna).all():
-            raise InputError(f"positions: antenna_m is {self.antenna_m}, expected two numbers")
+            raise InputError(
+                f"positions: antenna_m is {quoted(self.antenna_m)}, expected two numbers"
+            )
         object.__setattr__(self, "antenna_m", antenna)
         check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
         increasing("positions", self.time_s)
@@ -240,7 +244,9 @@ class Prior(Brief):
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", float(self.time_s))
         if not abs(self.time_s) <= LARGEST:
-            raise InputError(f"prior: time_s is {self.time_s}, expected at most {LARGEST:g}")
+            raise InputError(
+                f"prior: time_s is {quoted(self.time_s)}, expected at most {LARGEST:g}"
+            )
         for name, shape in (("pose", (3,)), ("covariance", (3, 3))):
             value = frozen(getattr(self, name))
             object.__setattr__(self, name, value)

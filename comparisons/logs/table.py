@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, check_regular, printable
+from comparisons.errors import InputError, RecordError, check_regular, shorten, unusable_file
 
 _TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
@@ -180,6 +181,8 @@ def reading(path: Path) -> Iterator[None]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8, expected one") from None
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise InputError(unusable_file(error, path)) from None
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 
@@ -203,9 +206,3 @@ def parse_toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deep") from None
-
-
-def shorten(word: str, limit: int = 40) -> str:
-    """A word as it may stand in a one-line error."""
-    shown = printable(word)
-    return shown if len(shown) <= limit else shown[: limit - 3] + "..."
