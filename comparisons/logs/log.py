@@ -21,6 +21,7 @@ from comparisons.logs.odometry import Integration, Odometry, RelativePoses, pose
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
+    LARGEST_ID,
     Stream,
     check,
     distinct,
@@ -307,6 +308,7 @@ class Log(Shown):
         object.__setattr__(self, "name", printable(self.name))
         texts = {printable(k): printable(v) for k, v in self.provenance.items()}
         object.__setattr__(self, "provenance", texts)
+        _names_by_number(self)
         start = self.prior.time_s
         scanned = any(s is not None and len(s.time_s) for s in (self.scans, self.clouds))
         self._check_loop_closures()
@@ -431,8 +433,7 @@ class Log(Shown):
     @property
     def labels(self) -> dict[int, str]:
         """Names of landmarks by id, where its file names them by text; empty where by numbers."""
-        numbers = json.loads(self.provenance.get("labels", "{}"))
-        return {number: text for text, number in numbers.items()}
+        return _names_by_number(self)
 
     @property
     def duration_s(self) -> float:
@@ -456,3 +457,20 @@ class Log(Shown):
         if isinstance(self.odometry, RelativePoses):
             counts["odometry"] -= int(np.isnan(self.odometry.covariance[:, 0, 0]).sum())
         return counts
+
+
+def _names_by_number(log: Log) -> dict[int, str]:
+    """The labels that the provenance has as JSON. Raises InputError."""
+    text = log.provenance.get("labels", "{}")
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    numbers: list[Any] = list(found.values()) if isinstance(found, dict) else [None]
+    whole = all(type(number) is int and abs(number) < LARGEST_ID for number in numbers)
+    if not whole or len(set(numbers)) < len(numbers):
+        raise InputError(
+            f"{log.name}: provenance: labels is {quoted(text)}, expected a JSON object of names "
+            'and whole numbers, each once, as {"oak": 0, "elm": 1}'
+        )
+    return dict(zip(numbers, found, strict=True))
