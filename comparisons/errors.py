@@ -24,7 +24,11 @@ class InputError(ValueError):
     """Unusable input or usage: what, where, what was expected. The command line exits with 2."""
 
     def __init__(self, message: str = "") -> None:
-        """message: cut by `one_line`."""
+        """Hold a message.
+
+        Args:
+            message: What, where, what was expected; cut by `one_line`.
+        """
         super().__init__(one_line(message))
 
 

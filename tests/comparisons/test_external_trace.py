@@ -493,9 +493,9 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
     ),
     "odd": (lambda r: r.update("x", P[0], P, P, **AT), "event 1: has a residual that is not of"),
     "clone": (lambda r: r.clone("pose", "copy"), "event 1: is a clone, which a planar filter has"),
-    "name": (
-        lambda r: r.augment("tree", HALF, EYE, EYE, after=EYE[0], **AT),
-        "block 'tree' must end in the number or label of a landmark",
+    "wide": (
+        lambda r: r.augment("tree 1", P, P, P, after=P[0], **AT),
+        "event 1: block 'tree 1' has 3 entries, expected a point",
     ),
     "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: numbers has 2 numbers"),
     "correlated": (
