@@ -122,7 +122,7 @@ class _Reading:
     def _augment(self, event: events.Augment) -> None:
         found = _ID.fullmatch(event.name)
         if found is None or len(event.jacobian) != _POINT:
-            self._refuse(event, "begins a block that is no point whose name ends in its id")
+            self._refuse(event, f'block "{event.name}" must end in the landmark\'s number or label')
         if event.blocks != self.prior.blocks or event.noise.shape != (_POINT, _POINT):
             self._refuse(event, "begins a landmark by more than the pose and one measurement")
         self.ids[event.name] = int(found[1])

@@ -232,7 +232,9 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
             ratios = band(*(shown(value, ".4g") for value in ends))
             rows.append(Row("Estimate", "variances, estimate over nearest reference", ratios))
     if (left := result.departure) is not None:
-        rows.append(Row("Estimate", DEPARTURE, f"{left.time_s:.9g} s: {left.what}, {left.event}"))
+        rows.append(
+            Row("Estimate", DEPARTURE, f"from {left.what}, at {left.time_s:.9g} s, {left.event}")
+        )
     return rows
 
 
@@ -267,7 +269,7 @@ def _verdict_words(result: CheckResult) -> str:
     grade = {
         "equal": f"The estimate equals {nearest} to rounding.",
         "like": f"The estimate is like {nearest}: means and covariances differ by at most 5 %.",
-        "plausible": "The estimate is as close to the smoother's optimum as that is certain.",
+        "plausible": "The estimate is within the optimum's own uncertainty.",
         "wrong": "The estimate is wrong: its trace shows a fault."
         if any(one.gap in FILTER_FAULTS for one in result.causes)
         else "The estimate is wrong: it is like no reference and far from the optimum.",

@@ -152,7 +152,7 @@ def test_the_trace_says_what_the_run_says_of_its_heading(
     check = checked(tmp_path, victoria_park.log, EkfConfig())
     assert check.trace is not None
     said = [
-        [part for part in cause.evidence.split("; ") if "has learnt its global heading" in part]
+        [part for part in cause.evidence.split("; ") if "claims its absolute heading" in part]
         for cause in (*victoria_park.verdict.causes, *check.trace.verdict.causes)
     ]
     assert len(said) == 2
@@ -494,7 +494,7 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
     "clone": (lambda r: r.clone("pose", "copy"), "event 1: is a clone, which a planar filter has"),
     "name": (
         lambda r: r.augment("tree", HALF, EYE, EYE, after=EYE[0], **AT),
-        "event 1: begins a block that is no point whose name ends in its id",
+        'event 1: block "tree" must end in the landmark\'s number or label',
     ),
     "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: numbers has 2 numbers"),
     "correlated": (
