@@ -19,7 +19,7 @@ from comparisons.checks.agreement import (
     Together,
     largest_distance,
 )
-from comparisons.checks.causes import FILTER_FAULTS
+from comparisons.checks.causes import FILTER_FAULTS, SYMPTOMS
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
@@ -492,11 +492,14 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         if len(agree) < 2:
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
         required = f" (required: {result.required})"
+        symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
+        departure = [str(result.departure)] if symptom and result.departure is not None else []
         return Summary(
             headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
             look=result.look,
             causes=result.causes,
-            remarks=result.remarks,
+            reasons=departure,
+            remarks=[remark for remark in result.remarks if remark not in departure],
             steps=check_ladder(result),
             lines=[
                 ("agreement", "; ".join(agree)),
