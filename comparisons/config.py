@@ -626,7 +626,7 @@ class CheckConfig(SolveConfig):
     require: RequiredGrade | None = setting(
         None,
         "Lowest grade that exits with 0. equal: to the reference EKF; like: within 5 % "
-        "of it; plausible: as near to the optimum as that is certain. Default: like where "
+        "of it; plausible: within the optimum's own uncertainty. Default: like where "
         'estimate.toml says estimator = "ekf", else plausible',
         Option(
             "--require",

@@ -93,7 +93,7 @@ class NewFirstEkf(Ekf):
 
 
 class NewFirstSequentialEkf(NewFirstEkf):
-    """The same, updating by one landmark after the other."""
+    """The same, with sequential (one landmark at a time) updates."""
 
     def parts(self, rows: Index) -> Iterable[Index]:
         """Return each row alone."""

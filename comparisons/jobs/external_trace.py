@@ -59,7 +59,7 @@ from ekf_reference.core.measurements import REJECTED
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions
 
-_RECORD = f"{HINT}; a snapshot of the covariance, recorded after each event, has the event named"
+_RECORD = f"{HINT}; record a snapshot after each event and the faulty one is named"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,12 +37,16 @@ _SIMULATED = ("--seed", "--loops", "--noise-scale")
 
 
 class NamedLog(NamedTuple):
-    """A log by name: what it is, how to get it, the options that it takes, where it is from."""
+    """A log by name: what it is, how to get it, the options that it takes, where it is from.
+
+    inconsistent: what it is known for, if an EKF is not consistent on it.
+    """
 
     what: str
     open: Callable[[SimulationChoices], Log]
     takes: tuple[str, ...] = _SIMULATED
     kind: str = "simulated"
+    inconsistent: str = ""
 
 
 def _victoria_park(choices: SimulationChoices) -> Log:
@@ -85,6 +89,7 @@ NAMED: dict[str, NamedLog] = {
         _victoria_park,
         (),
         "bundled with gtsam",
+        "the known example of EKF inconsistency: disagree is to be expected",
     ),
     "simulated-loop": NamedLog(
         "255 m loop among 60 landmarks (Nieto 2005, section 2.9)", _simulated_loop

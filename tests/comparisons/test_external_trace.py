@@ -153,7 +153,7 @@ def test_the_trace_says_what_the_run_says_of_its_heading(
     check = checked(tmp_path, victoria_park.log, EkfConfig())
     assert check.trace is not None
     said = [
-        [part for part in cause.evidence.split("; ") if "has learnt its global heading" in part]
+        [part for part in cause.evidence.split("; ") if "claims its absolute heading" in part]
         for cause in (*victoria_park.verdict.causes, *check.trace.verdict.causes)
     ]
     assert len(said) == 2
