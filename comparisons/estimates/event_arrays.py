@@ -120,15 +120,9 @@ class _Reading:
         self.made += 1
 
     def _augment(self, event: events.Augment) -> None:
-<<<<<<< HEAD
         if len(event.jacobian) != _POINT:
             width = len(event.jacobian)
             self._refuse(event, f"block {quoted(event.name)} has {width} entries, expected a point")
-=======
-        found = _ID.fullmatch(event.name)
-        if found is None or len(event.jacobian) != _POINT:
-            self._refuse(event, f'block "{event.name}" must end in the landmark\'s number or label')
->>>>>>> h7-words
         if event.blocks != self.prior.blocks or event.noise.shape != (_POINT, _POINT):
             self._refuse(event, "begins a landmark by more than the pose and one measurement")
         block = self.blocks.setdefault(event.name, len(self.blocks))

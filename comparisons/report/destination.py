@@ -67,11 +67,7 @@ def _other_run(folder: Path, config: JobConfig) -> str:
     try:
         found = read_toml(folder / CONFIG)
         if (job := found.get("job")) != config.job:
-<<<<<<< HEAD
-            return f"of slamcheck {quoted(job)}"
-=======
-            return f"a result of slamcheck {shown(job)}"
->>>>>>> h7-words
+            return f"a result of slamcheck {quoted(job)}"
         then = dict(leaves(type(config).of(**found).model_dump()))
     except InputError:
         return "a run of another version of slamcheck"
