@@ -228,6 +228,10 @@ FILTER_FAULTS = frozenset(kind for kind, one in EXPLANATIONS.items() if one.deci
 """Kinds that show in the filter's own records, whatever the smoother found."""
 
 
+SYMPTOMS = ("estimate", "covariance", "optimum", "grade")
+"""Kinds that say that an estimate differs, and not why."""
+
+
 def decides(kind: str) -> Decides:
     """Return what a kind of cause makes of an outcome; a check's own counts like a gap."""
     known = EXPLANATIONS.get(kind)

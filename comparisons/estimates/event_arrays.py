@@ -1,13 +1,12 @@
 """The events of a planar filter as columns: steps, measurements, new landmarks and positions.
 
-A filter of x, y and heading, and of points, each a block whose name ends in its id. A prediction
+A filter of x, y and heading, and of points, each a block of its own. A prediction
 moves the pose alone; copies of it (clones) are the pose of their instant. What is fused together is
 one update: two rows for each measurement, or any of its entries where each row has a number.
 """
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, NoReturn
@@ -15,12 +14,11 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.trace import events
 from comparisons.trace.reader import Trace
 
 _POSE, _POINT = 3, 2
-_ID = re.compile(r"(?:.*\D)?(\d{1,18})")
 COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
         "time_s": (), "departed": (_POSE,), "arrived": (_POSE,),
@@ -46,16 +44,16 @@ COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
 
 
 class PlanarEvents(NamedTuple):
-    """A trace's columns, and which of the landmarks that have been are which.
+    """A trace's columns, and the landmarks' blocks.
 
     arrays: by name, as `trace.npz` of 0.2 had them; a row whose Jacobian is zero is of an entry
-    that was not used. life: (U,) of each update, the row of `initialise` that began its landmark.
-    removed: (D,) rows of `initialise` whose landmark the filter has removed.
+    that was not used. A column of landmarks holds the blocks' indices. blocks: (B,) names, by
+    index, of all blocks that have been. removed: indices of those that the filter has removed.
     """
 
     arrays: dict[str, Array]
-    life: Array
-    removed: Array
+    blocks: tuple[str, ...]
+    removed: tuple[int, ...] = ()
 
 
 def event_arrays(trace: Trace) -> PlanarEvents:
@@ -86,11 +84,10 @@ class _Reading:
         self.path, self.made = trace.path, 0
         self.prior: events.Prior
         self.rows: defaultdict[str, list[Any]] = defaultdict(list)
-        self.ids: dict[str, int] = {}
-        self.life: dict[str, int] = {}
-        self.copies: dict[str, int] = {}
+        self.names: list[str] = []
+        self.blocks: dict[str, int] = {}
         self.removed: list[int] = []
-        self.begun = 0
+        self.copies: dict[str, int] = {}
 
     def take(self, event: events.Event) -> None:
         """Add an event."""
@@ -126,21 +123,15 @@ class _Reading:
             for part, columns in COLUMNS.items()
             for name, shape in columns.items()
         }
-        life = np.array(self.rows["update_life"], dtype=np.intp)
         for part in ("update", "initialise"):
             step = found[f"{part}_step"]
-            if not (np.diff(step) < 0.0).any():
-                continue
-            order = np.argsort(step, kind="stable")
-            found |= {f"{part}_{name}": found[f"{part}_{name}"][order] for name in COLUMNS[part]}
-            if part == "update":
-                life = life[order]
-            else:
-                row_of = np.argsort(order)
-                life, self.removed = row_of[life], row_of[self.removed].tolist()
+            if (np.diff(step) < 0.0).any():
+                order = np.argsort(step, kind="stable")
+                names = [f"{part}_{name}" for name in COLUMNS[part]]
+                found |= {name: found[name][order] for name in names}
         point = self._sized(self.prior, "point", self.prior.point, _POSE)
         arrays = {"prior_pose": point, "prior_covariance": self.prior.covariance, **found}
-        return PlanarEvents(arrays, life, np.array(sorted(self.removed), dtype=np.intp))
+        return PlanarEvents(arrays, tuple(self.names), tuple(self.removed))
 
     def _prior(self, event: events.Prior) -> None:
         if event.dims != (_POSE,) or event.charts not in ((), (events.ADDITIVE,), ("se2",)):
@@ -169,7 +160,7 @@ class _Reading:
         elif event.source in self.prior.blocks:
             self.copies[event.name] = self.made
         else:
-            self._refuse(event, f"copies {event.source}; expected a copy of the pose")
+            self._refuse(event, f"copies {quoted(event.source)}; expected a copy of the pose")
 
     def _remove(self, event: events.Remove) -> None:
         """Forget copies of the pose; note landmarks, which the estimate does not hold."""
@@ -177,23 +168,22 @@ class _Reading:
             if name in self.prior.blocks:
                 self._refuse(event, "removes the pose")
             if self.copies.pop(name, None) is None:
-                self.removed.append(self.life.pop(name))
+                self.removed.append(self.blocks.pop(name))
 
     def _augment(self, event: events.Augment) -> None:
-        found = _ID.fullmatch(event.name)
-        if found is None or len(event.jacobian) != _POINT:
-            self._refuse(event, "begins a block that is no point whose name ends in its id")
+        if len(event.jacobian) != _POINT:
+            width = len(event.jacobian)
+            self._refuse(event, f"block {quoted(event.name)} has {width} entries, expected a point")
         (source, *others) = event.blocks
         if others or not self._is_pose(source) or event.noise.shape != (_POINT, _POINT):
             self._refuse(event, "begins a landmark by more than the pose and one measurement")
-        self.ids[event.name] = int(found[1])
-        self.life[event.name] = self.begun
-        self.begun += 1
+        self.blocks[event.name] = len(self.names)
+        self.names.append(event.name)
         self._put(
             "initialise",
             step=self._made_at(source),
             measurement=self._sized(event, "numbers", event.numbers, 1)[0],
-            landmark=self.ids[event.name],
+            landmark=self.blocks[event.name],
             weight=event.weight,
             pose=self._sized(event, "point", event.point, _POSE),
             point=self._sized(event, "after", event.after, _POINT),
@@ -219,7 +209,7 @@ class _Reading:
     def _update(self, event: events.Update) -> None:
         blocks = event.blocks
         poses = [block for block in blocks if self._is_pose(block)]
-        others = [block for block in blocks if block in self.life]
+        others = [block for block in blocks if block in self.blocks]
         if len(poses) != 1 or len(poses) + len(others) != len(blocks):
             self._refuse(event, "is of other blocks than one pose and landmarks")
         size = _POSE + _POINT * len(others)
@@ -240,12 +230,11 @@ class _Reading:
         for group, residual, noise, h in self._measured(event, expected):
             landmark = landmarks[group.rows[0]]
             at, name = _POSE + _POINT * landmark, others[landmark]
-            self.rows["update_life"].append(self.life[name])
             self._put(
                 "update",
                 step=step,
                 measurement=group.number,
-                landmark=self.ids[name],
+                landmark=self.blocks[name],
                 weight=event.weight,
                 pose=point[:_POSE],
                 point=point[at : at + _POINT],

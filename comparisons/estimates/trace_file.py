@@ -5,16 +5,16 @@ A recorder's trace, or `trace.npz` of 0.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.estimates.event_arrays import COLUMNS, PlanarEvents, event_arrays
+from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from comparisons.trace.reader import OUTDATED, Trace
@@ -43,11 +43,14 @@ _WHOLE = ("step", "measurement", "landmark", "number")
 class TraceFile:
     """A filter's trace with the time (N,) at which each step ends, and where it was read.
 
-    Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
-    the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
-    done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
-    remarks: on the file. unsound: which noise, or prior, is no covariance, in words. removed_id:
-    (D,) of landmarks that the trace has and the estimate has not, whose places are behind its own.
+    Landmark indices are those of blocks, the landmarks' names in the file, and once they are
+    `placed`, when there are no blocks, places in the estimate's list of landmarks. Headings are
+    unwrapped along the trace; `spread` and `whitened` are zero, for no gap needs them. rounding:
+    what storing has done to the numbers, relative to them: 2^-24 where all are of single precision,
+    else nothing.
+    remarks: on the file. unsound: which noise, or prior, is no covariance, in words. removed: which
+    blocks the filter has removed; once placed, their landmarks have the places behind the
+    estimate's list, and the numbers removed_id.
     """
 
     path: Path
@@ -56,22 +59,66 @@ class TraceFile:
     remarks: tuple[str, ...]
     unsound: str = ""
     rounding: float = 0.0
-    removed_id: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    blocks: tuple[str, ...] = ()
+    removed: tuple[int, ...] = ()
+    removed_id: tuple[int, ...] = ()
 
     @property
     def former(self) -> bool:
         """It is of slamcheck 0.2, and has no events."""
         return self.path.suffix == Path(FORMER).suffix
 
+    def placed(self, names: LandmarkNames) -> TraceFile:
+        """Return the trace with the places of its blocks' landmarks in the estimate's list.
 
-def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
-    """Read a trace of a filter whose landmarks have the ids (L,), in the estimate's order.
+        names: of the estimate's landmarks, in their order. Raises InputError unless each of them is
+        initialised once.
+        """
+        if not self.blocks:
+            return self
+        place_of = {number: place for place, number in enumerate(names.numbers)}
+        held = [k for k in range(len(self.blocks)) if k not in set(self.removed)]
+        numbers = names.of_blocks([self.blocks[k] for k in held])
+        if None in numbers:
+            block = quoted(self.blocks[held[numbers.index(None)]])
+            raise InputError(
+                f"{self.path}: block {block} must end in the number or label of a landmark in "
+                "landmarks.csv, or be recorded as removed"
+            )
+        places = np.empty(len(self.blocks), dtype=np.intp)
+        places[held] = [place_of[number] for number in numbers if number is not None]
+        places[list(self.removed)] = len(place_of) + np.arange(len(self.removed))
+        begun = places[self.trace.initialisations[POINT].landmark_index]
+        times = np.bincount(begun, minlength=len(place_of))[: len(place_of)]
+        if (wrong := np.flatnonzero(times != 1)).size:
+            name = names.called(int(wrong[0]))
+            raise InputError(
+                f"{self.path}: landmark {name} is initialised {times[wrong[0]]} times, expected "
+                "once"
+            )
+        removed_id = names.of_removed([self.blocks[k] for k in self.removed])
+        trace = _at_places(self.trace, places)
+        return replace(self, blocks=(), removed=(), removed_id=removed_id, trace=trace)
 
-    Raises InputError naming the event, or the array of a trace of 0.2.
-    """
+
+def _at_places(trace: TraceArrays, places: Index) -> TraceArrays:
+    """A trace with places (B,) in the place of blocks' indices."""
+    moved = [
+        {
+            **records,
+            POINT: replace(records[POINT], landmark_index=places[records[POINT].landmark_index]),
+        }
+        for records in (trace.measurements, trace.initialisations)
+    ]
+    return replace(trace, measurements=moved[0], initialisations=moved[1])
+
+
+def read_trace(path: Path) -> TraceFile:
+    """Read a trace. Raises InputError naming the event, or the array of a trace of 0.2."""
     if path.suffix == ".npz":
         outdated = (f"{path.name} {OUTDATED}",)
-        return _checked(path, _former(path), landmark_id, outdated)
+        arrays = _former_arrays(path)
+        return _checked(path, PlanarEvents(arrays, _former_blocks(arrays)), outdated)
     trace = Trace(path)
     planar = event_arrays(trace)
     unsound = ""
@@ -79,22 +126,7 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
         event, what = min(trace.unsound.items())
         others = len(trace.unsound) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
-    return _checked(path, planar, landmark_id, trace.remarks, unsound)
-
-
-def _former(path: Path) -> PlanarEvents:
-    """Return what a `trace.npz` holds, in which each landmark has one life.
-
-    Raises InputError naming the array.
-    """
-    found = _former_arrays(path)
-    begun, used = (found[f"{part}_landmark"].astype(np.int64) for part in ("initialise", "update"))
-    order = np.argsort(begun, kind="stable")
-    stray = used[~np.isin(used, begun)]
-    if len(stray):
-        raise InputError(f"{path}: landmark {stray[0]} is initialised 0 times, expected once")
-    life = order[np.searchsorted(begun[order], used)] if len(used) else np.zeros(0, dtype=np.intp)
-    return PlanarEvents(found, life, np.zeros(0, dtype=np.intp))
+    return _checked(path, planar, trace.remarks, unsound)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -120,10 +152,20 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     return found
 
 
+def _former_blocks(found: dict[str, Array]) -> tuple[str, ...]:
+    """Return the numbers of landmarks as blocks, and put the blocks' indices in their place."""
+    parts = ("update_landmark", "initialise_landmark")
+    numbers, index = np.unique(
+        np.concatenate([found[part] for part in parts]).astype(np.int64), return_inverse=True
+    )
+    split = len(found[parts[0]])
+    found |= {parts[0]: index[:split].astype(float), parts[1]: index[split:].astype(float)}
+    return tuple(map(str, numbers.tolist()))
+
+
 def _checked(
     path: Path,
     planar: PlanarEvents,
-    landmark_id: NDArray[np.int64],
     remarks: tuple[str, ...],
     unsound: str = "",
 ) -> TraceFile:
@@ -133,8 +175,10 @@ def _checked(
     _check_contents(path, found)
     unsound = unsound or _unsound(found, rounding)
     _unwrap(found)
-    begun, removed_id = _landmark_indices(path, planar, landmark_id)
-    updated, count = begun[planar.life], len(found["position_step"])
+    begun, updated = (
+        found[f"{part}_landmark"].astype(np.intp) for part in ("initialise", "update")
+    )
+    count = len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
         path=path,
@@ -161,7 +205,8 @@ def _checked(
         remarks=remarks,
         unsound=unsound,
         rounding=rounding,
-        removed_id=removed_id,
+        blocks=planar.blocks,
+        removed=planar.removed,
     )
 
 
@@ -252,28 +297,3 @@ def _unwrap(found: dict[str, Array]) -> None:
         apart = reached[found[f"{part}_step"].astype(np.intp)] - pose[:, 2]
         pose[:, 2] += 2.0 * np.pi * np.round(apart / (2.0 * np.pi))
         found[f"{part}_pose"] = pose
-
-
-def _landmark_indices(
-    path: Path, planar: PlanarEvents, landmark_id: NDArray[np.int64]
-) -> tuple[Index, NDArray[np.int64]]:
-    """Return the place (I,) of each landmark that began, and the ids (D,) of those without one.
-
-    Each of the estimate's landmarks begins once. Those that the filter has removed, or left out of
-    the estimate, are behind them.
-    """
-    ids, count = planar.arrays["initialise_landmark"].astype(np.int64), len(landmark_id)
-    gone = ~np.isin(ids, landmark_id)
-    gone[planar.removed] = True
-    order = np.argsort(landmark_id)
-    place = np.empty(len(ids), dtype=np.intp)
-    place[gone] = count + np.arange(np.count_nonzero(gone))
-    place[~gone] = order[np.searchsorted(landmark_id[order], ids[~gone])]
-    times = np.bincount(place[~gone], minlength=count)
-    wrong = np.flatnonzero(times != 1)
-    if len(wrong):
-        raise InputError(
-            f"{path}: landmark {landmark_id[wrong[0]]} is initialised {times[wrong[0]]} times, "
-            "expected once"
-        )
-    return place, ids[gone]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.motion import CLOCK_S
@@ -63,7 +62,7 @@ from graphslam.smoother import SmootherOptions
 
 _ROUNDED = 1e-9
 """Difference of a pose, relative to it or to one, that is rounding."""
-_RECORD = f"{HINT}; a snapshot of the covariance, recorded after each event, has the event named"
+_RECORD = f"{HINT}; record a snapshot after each event and the faulty one is named"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -456,7 +455,7 @@ def _as_run(
     )
 
 
-def _with_removed(run: EkfRun, removed_id: NDArray[np.int64]) -> EkfRun:
+def _with_removed(run: EkfRun, removed_id: tuple[int, ...]) -> EkfRun:
     """Return a run whose estimate has the landmarks, too, that its filter has removed.
 
     They are what the recorded equations tell of them, given what was handed in of the others.
@@ -464,7 +463,7 @@ def _with_removed(run: EkfRun, removed_id: NDArray[np.int64]) -> EkfRun:
     if not len(removed_id):
         return run
     e, more = run.estimate, len(removed_id)
-    ids = np.concatenate((e.landmark_id, removed_id))
+    ids = np.append(e.landmark_id, np.array(removed_id, dtype=np.int64))
     unknown = np.concatenate((e.landmark, np.full((more, 2), np.nan)))
     whole = replace(run, estimate=replace(e, landmark_id=ids, landmark=unknown))
     told, size = _replayed(whole).last, 3 + e.landmark.size

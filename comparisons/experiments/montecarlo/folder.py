@@ -155,7 +155,7 @@ def remarks(outcome: Outcome) -> list[str]:
         if absent:
             lines.append(f"{name}: no covariances, so no NEES, of {', '.join(absent)}")
     if outcome.final_map:
-        lines.append("landmarks: of the map at the end, as an estimate holds no other")
+        lines.append("landmarks: of the final map")
     return lines
 
 

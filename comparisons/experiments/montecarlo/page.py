@@ -46,8 +46,8 @@ def study_page(outcome: Outcome, remarks: list[str], *, stored: bool = True) -> 
         "<h2>Consistency: mean NEES</h2>",
         _consistency(outcome),
         f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '
-        "step, by chi-square. A mean over steps, or over landmarks, spreads less: outside is "
-        "outside, inside is the weaker statement. The count of last poses within their own band "
+        "step, by chi-square. A mean over steps, or over landmarks, has a narrower true band: "
+        "outside is certain, inside is not. The count of last poses within their own band "
         "is exact, too, by the binomial.</p>",
         "<h2>Errors</h2>",
         _errors(outcome),
