@@ -7,6 +7,7 @@ differ by more than rounding. `check` asks for both facts before it runs a refer
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from decimal import Decimal
 
@@ -113,19 +114,15 @@ def _inside(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> Externa
     instants_s = prepared.timeline.instants_s()
     placed = on_log_clock(given, prepared.log, instants_s)
     placed = replace(placed, time_s=at_instants(placed.time_s, instants_s))
-    return with_poses(
-        placed, (placed.time_s >= instants_s[0]) & (placed.time_s <= instants_s[-1])
-    )
+    return with_poses(placed, (placed.time_s >= instants_s[0]) & (placed.time_s <= instants_s[-1]))
 
 
 def _equal_poses(given: ExternalEstimate, prepared: Prepared[SolveConfig], count: int) -> int:
     """How many of the first poses are those of the reference EKF, to rounding."""
     first = with_poses(given, np.arange(len(given.time_s)) < count)
     beside = _Beginning(first.time_s)
-    try:
+    with suppress(Left):
         filter_named(EKF, prepared, first.time_s, lambda ekf: beside)
-    except Left:
-        pass
     reference = beside.reference()
     left_s = departed_s(with_poses(first, np.isin(first.time_s, reference.time_s)), reference)
     if left_s is None:
