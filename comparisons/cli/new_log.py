@@ -96,7 +96,7 @@ def new_log(folder: Path, **given: Any) -> None:
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
-        if examined.findings:
+        if examined.words:
             typer.echo(f"warning: {examined.words}")
         name = shlex.quote(str(folder))
         typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
