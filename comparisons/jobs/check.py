@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
-from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
@@ -45,6 +44,13 @@ from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
 from comparisons.estimates.reference import Reference
+from comparisons.fingerprints.clock import (
+    counts_as_file,
+    on_file_clock,
+    on_log_clock,
+    works_with_floats,
+    written_from_floats,
+)
 from comparisons.fingerprints.estimate_motion import (
     in_words,
     integrations_by_steps,
@@ -55,8 +61,8 @@ from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
-from comparisons.logs.stamps import at_instants, rounded, since_origin
-from comparisons.logs.transforms.clock import file_start, timed_by_floats
+from comparisons.logs.stamps import at_instants, rounded
+from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.known import Given, Known
 from comparisons.pipeline.references import (
@@ -224,7 +230,7 @@ def check(
         found = job.integrated(found, ORDERS)
         found = _with_departure(job.explained(found) or job.moved_back(found) or found)
     instants_s = found.solution.prepared.timeline.instants_s()
-    if said := rounded(given.time_s, _by_its_clock(given.time_s, log, instants_s)):
+    if said := rounded(given.time_s, on_file_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
     return _qualified(replace(found, log=log))
 
@@ -266,25 +272,31 @@ class _Job:
     def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
 
-        One that counts as the log's file does, since 1970, has them as floats tell them, if it is
-        not equal by exact ones alone.
+        One that counts as the log's file does, since 1970, may have read these stamps as floats;
+        both are tried to the end only where the poses of a smoother do not tell.
         """
         stamped = [given.time_s] + ([given.trace.step_time_s] if given.trace is not None else [])
-        by_files = any(_by_the_files_clock(one, self.log) for one in stamped)
+        by_files = any(counts_as_file(one, self.log) for one in stamped)
         if isinstance(self.log.odometry, RelativePoses) or not by_files:
             return self, self.started(given)
         by_floats = replace(self, log=timed_by_floats(self.log))
-        first = by_floats.started(given)
-        exact = first if first.grade.value == "equal" else self.started(given)
-        if exact is first or exact.grade.value != "equal":
-            return by_floats, first
-        return self, exact
+        prepared = [prepare_solve(job.log, job.config) for job in (self, by_floats)]
+        floats = works_with_floats(given, *prepared)
+        jobs = [self, by_floats]
+        if floats or (floats is None and written_from_floats(given)):
+            jobs.reverse()
+        first = jobs[0].started(given)
+        if floats is None and given.may_be("smoothed") and first.grade.value != "equal":
+            second = jobs[1].started(given)
+            if second.grade.value == "equal":
+                return jobs[1], second
+        return jobs[0], first
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
         prepared = self.own.prepared
         instants_s = prepared.timeline.instants_s()
-        given = _on_the_logs_clock(given, self.log, instants_s)
+        given = on_log_clock(given, self.log, instants_s)
         placed = replace(given, time_s=at_instants(given.time_s, instants_s))
         inside = with_poses(placed, within_log(placed, self.own.estimate))
         found = integrations_by_steps(inside, prepared)
@@ -356,34 +368,6 @@ class _Job:
             then = f"the estimate {equal} {near.reference.name} ({near.farthest:.2g} sigma)"
         said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
-
-
-def _by_the_files_clock(time_s: Array, log: Log) -> bool:
-    """Whether times (K,), in order, count as the log's file does, and not as the log's do."""
-    start_s = float(file_start(log))
-    begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
-    first_s, last_s = time_s[[0, -1]] - start_s
-    return start_s > end_s and first_s <= end_s and last_s >= begin_s
-
-
-def _by_its_clock(time_s: Array, log: Log, instants_s: Array) -> Array:
-    """Return a log's instants as times (K,) in order count."""
-    return instants_s + float(file_start(log)) * _by_the_files_clock(time_s, log)
-
-
-def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
-    """Return an estimate whose times count as the log's, if they count as the log's file does.
-
-    A bag's stamps count from 1970, the log's times from the first of them. Trajectory and trace
-    may count differently: each is seen by its own times. instants_s: of the log.
-    """
-    start_s, time_s, trace = float(file_start(log)), given.time_s, given.trace
-    if _by_the_files_clock(time_s, log):
-        exact_s = at_instants(time_s, _by_its_clock(time_s, log, instants_s))
-        time_s = since_origin(exact_s, start_s, instants_s)
-    if trace is not None and _by_the_files_clock(trace.step_time_s, log):
-        trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
-    return replace(given, time_s=time_s, trace=trace)
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
