@@ -110,10 +110,15 @@ def model_differences(
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
-        kind: (_of_relations(_first(recorded.measurements[kind], len(seen.b))), _of_relations(seen))
+        kind: tuple(
+            _of_relations(one)
+            for one in _completed(_first(recorded.measurements[kind], len(seen.b)), seen)
+        )
         for kind, seen in own.measurements.items()
     }
-    positions = _of_positions(recorded.positions), _of_positions(own.positions)
+    positions = tuple(
+        _of_positions(one) for one in _with_all_entries(recorded.positions, own.positions)
+    )
     merges = {
         kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
         for kind, merged in own.merges.items()
@@ -212,6 +217,45 @@ def _of_relations(r: LinearRelations) -> _Places:
     place = (inverse @ r.b[..., None])[..., 0]
     root = _noisy(inverse, r.sigma)
     return _Places(place, jacobian, root @ root.transpose(0, 2, 1))
+
+
+def _completed(
+    said: LinearRelations, meant: LinearRelations
+) -> tuple[LinearRelations, LinearRelations]:
+    """Return relations where those of one entry of a measurement have another, the same in both.
+
+    It says, to a unit noise, where across the entry's own direction the landmark lies.
+    """
+    unused = ~(meant.a.any(axis=2) | meant.c.any(axis=2))
+    if not unused.any():
+        return said, meant
+    rows, entries = np.nonzero(unused)
+    across = meant.c[rows, 1 - entries, ::-1] * (1.0, -1.0)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+
+    def whole(r: LinearRelations) -> LinearRelations:
+        c = r.c.copy()
+        c[rows, entries] = across
+        return replace(r, c=c)
+
+    return whole(said), whole(meant)
+
+
+def _with_all_entries(
+    said: LinearPositions, meant: LinearPositions
+) -> tuple[LinearPositions, LinearPositions]:
+    """Return positions where those of one entry alone have the other, the same in both."""
+    unused = ~meant.a.any(axis=2)
+    if not unused.any():
+        return said, meant
+    rows, entries = np.nonzero(unused)
+
+    def whole(p: LinearPositions) -> LinearPositions:
+        a = p.a.copy()
+        a[rows, entries, entries] = 1.0
+        return replace(p, a=a)
+
+    return whole(said), whole(meant)
 
 
 def _noisy(inverse: Array, sigma: Array | None) -> Array:
