@@ -97,6 +97,7 @@ def deciding(
     *,
     explained: Sequence[str] = (),
     also: Sequence[str] = (),
+    listed: str = "-v lists them",
 ) -> list[Line]:
     """Return what decides an outcome, in few lines, and by name what else there is.
 
@@ -105,6 +106,7 @@ def deciding(
         reasons: those that have room are printed.
         explained: names of what follows from the first cause.
         also: names of what does not, or may not.
+        listed: where all of it stands, in words.
     """
     lines, room, cut = list[Line](), 1 + DECIDING, False
     if causes:
@@ -127,7 +129,12 @@ def deciding(
     ]
     more = [f"explained by it: {', '.join(explained)}"] if explained else []
     more += [f"also: {', '.join(names)}"] if names else []
-    return lines + (_indented(f"{'; '.join(more)}; -v lists them") if more else [])
+    return lines + (_indented(f"{'; '.join(more)}; {listed}") if more else [])
+
+
+def in_short(cause: Cause, lines: int = 3) -> str:
+    """Return a cause in one line, with the facts that would fit into so many of a terminal."""
+    return " ".join(line.text.strip() for line in _cut(_words(cause), lines)[0])
 
 
 def table(rows: Sequence[Row], width: int = WIDTH) -> Iterator[Line]:
