@@ -12,7 +12,7 @@ import typer
 from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progress_bar
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.options import GRADE, Flag
 from comparisons.options.table import of_job
 
@@ -190,7 +190,7 @@ def _runs(given: int | None, *, estimate: bool) -> int:
         raise InputError("--runs repeats a run; an estimate is as it is: leave --runs out")
     runs = (1 if estimate else 2) if given is None else given
     if not 1 <= runs <= _MOST_RUNS:
-        raise InputError(f"runs is {runs}, expected 1 to {_MOST_RUNS}")
+        raise InputError(f"runs is {quoted(runs)}, expected 1 to {_MOST_RUNS}")
     return runs
 
 

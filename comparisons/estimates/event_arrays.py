@@ -1,25 +1,23 @@
 """The events of a planar filter as columns: steps, measurements, new landmarks and positions.
 
-A filter of x, y and heading, whose block comes first, and of points, each a block whose name ends
-in its id. A prediction moves the pose alone. What is fused together is one update, with two rows
+A filter of x, y and heading, whose block comes first, and of points, each a block of its own. A
+prediction moves the pose alone. What is fused together is one update, with two rows
 for each measurement.
 """
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from typing import Any, NoReturn
 
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.trace import events
 from comparisons.trace.reader import Trace
 
 _POSE, _POINT = 3, 2
-_ID = re.compile(r"(?:.*\D)?(\d{1,18})")
 COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
         "time_s": (), "departed": (_POSE,), "arrived": (_POSE,),
@@ -44,8 +42,10 @@ COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
 """By part and name, the shapes of the columns' rows."""
 
 
-def event_arrays(trace: Trace) -> dict[str, Array]:
-    """Return a trace's columns by name, as `trace.npz` of 0.2 had them.
+def event_arrays(trace: Trace) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return a trace's columns by name, as `trace.npz` of 0.2 had them, and the landmarks' blocks.
+
+    A column of landmarks holds the blocks' indices.
 
     Raises:
         InputError: The file is no trace, or an event is none of such a filter, or lacks its point
@@ -54,7 +54,7 @@ def event_arrays(trace: Trace) -> dict[str, Array]:
     reading = _Reading(trace)
     for event in trace:
         reading.take(event)
-    return reading.arrays()
+    return reading.arrays(), tuple(reading.blocks)
 
 
 class _Reading:
@@ -64,7 +64,7 @@ class _Reading:
         self.path, self.made = trace.path, 0
         self.prior: events.Prior
         self.rows: defaultdict[str, list[Any]] = defaultdict(list)
-        self.ids: dict[str, int] = {}
+        self.blocks: dict[str, int] = {}
 
     def take(self, event: events.Event) -> None:
         """Add an event."""
@@ -120,17 +120,17 @@ class _Reading:
         self.made += 1
 
     def _augment(self, event: events.Augment) -> None:
-        found = _ID.fullmatch(event.name)
-        if found is None or len(event.jacobian) != _POINT:
-            self._refuse(event, f'block "{event.name}" must end in the landmark\'s number or label')
+        if len(event.jacobian) != _POINT:
+            width = len(event.jacobian)
+            self._refuse(event, f"block {quoted(event.name)} has {width} entries, expected a point")
         if event.blocks != self.prior.blocks or event.noise.shape != (_POINT, _POINT):
             self._refuse(event, "begins a landmark by more than the pose and one measurement")
-        self.ids[event.name] = int(found[1])
+        block = self.blocks.setdefault(event.name, len(self.blocks))
         self._put(
             "initialise",
             step=self.made,
             measurement=self._sized(event, "numbers", event.numbers, 1)[0],
-            landmark=self.ids[event.name],
+            landmark=block,
             weight=event.weight,
             pose=self._sized(event, "point", event.point, _POSE),
             point=self._sized(event, "after", event.after, _POINT),
@@ -159,7 +159,7 @@ class _Reading:
 
     def _update(self, event: events.Update) -> None:
         blocks, count = event.blocks, self._count(event)
-        if blocks[:1] != self.prior.blocks or not self.ids.keys() >= set(blocks[1:]):
+        if blocks[:1] != self.prior.blocks or not self.blocks.keys() >= set(blocks[1:]):
             self._refuse(event, "is of other blocks than the pose, first, and landmarks")
         numbers = self._sized(event, "numbers", event.numbers, count)
         size = _POSE + _POINT * (len(blocks) - 1)
@@ -172,7 +172,7 @@ class _Reading:
                 "update",
                 step=self.made,
                 measurement=numbers[k],
-                landmark=self.ids[blocks[1 + block]],
+                landmark=self.blocks[blocks[1 + block]],
                 weight=event.weight,
                 pose=point[:_POSE],
                 point=point[at : at + _POINT],

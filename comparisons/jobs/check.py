@@ -489,6 +489,7 @@ def check_external(
     """
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
     instants_s = solution.prepared.timeline.instants_s()
+    given = given.numbered_as(solution.prepared.log.labels)
     given = replace(given, time_s=at_instants(given.time_s, instants_s))
     inside = with_poses(given, within_log(given, solution.estimate))
     unsound = "" if given.trace is None else given.trace.unsound

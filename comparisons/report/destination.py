@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from comparisons.atomic import check_apart, check_replaceable, folder_name, free_beside
-from comparisons.config import Configured, JobConfig, shown
-from comparisons.errors import InputError
+from comparisons.config import Configured, JobConfig
+from comparisons.errors import InputError, quoted
 from comparisons.logs.table import read_toml
 from comparisons.options.table import FLAGS
 from comparisons.report.folder import CONFIG
@@ -67,7 +67,7 @@ def _other_run(folder: Path, config: JobConfig) -> str:
     try:
         found = read_toml(folder / CONFIG)
         if (job := found.get("job")) != config.job:
-            return f"a result of slamcheck {shown(job)}"
+            return f"a result of slamcheck {quoted(job)}"
         then = dict(leaves(type(config).of(**found).model_dump()))
     except InputError:
         return "a run of another version of slamcheck"
