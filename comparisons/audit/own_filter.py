@@ -46,6 +46,8 @@ from ekf_reference.filters.compressed import CompressedState
 SENSORS = {POINT: "measurements", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
 _PLANAR = 3
+_NEARER = 0.5
+"""So much nearer to the mean after an update its last iterate is than to the one before."""
 
 
 def run_events(run: EkfRun) -> Iterator[Event]:
@@ -89,6 +91,55 @@ def sound_recursion(run: EkfRun) -> tuple[Array, Array] | None:
         return None
     at = short.layout.columns(last.blocks)
     return short.covariance[at][:, at], np.array([one.mean[at] for one in others])
+
+
+def residuals_at_points(run: EkfRun) -> Array:
+    """Return the residuals of measurements of points, z - h(point), at the points of H.
+
+    An iterated update records residual = z - h(point) - H (mean - point), with the last iterate as
+    its point, so that its correction is gain times residual. It is known by its point, which is
+    nearer to the mean after the update than to the one before it.
+
+    Args:
+        run: As the filter made it.
+
+    Returns:
+        (M, 2), a row for each record: those of other updates as they were recorded.
+    """
+    events, residual = _Events(run), run.trace.measurements[POINT].innovation.copy()
+    mean: Array = np.zeros(0)
+    replay: Replay
+    for event in events.all():
+        if isinstance(event, Prior):
+            replay, mean = Replay(event), run.trace.prior_pose.copy()
+            continue
+        before = mean.copy()
+        match event:
+            case Predict() | Augment():
+                mean = _moved(mean, event)
+        fused = replay.apply(event)
+        if not isinstance(event, Update) or fused is None:
+            continue
+        mean = mean + fused.applied
+        if event.sensor.endswith(SENSORS[POINT]) and event.point is not None:
+            at = replay.layout.columns(event.blocks)
+            off, left = before[at] - event.point, mean[at] - event.point
+            if np.abs(left).max() < _NEARER * np.abs(off).max():
+                used = run.trace.measurements[POINT].entries[events.rows] > 0.0
+                shift = np.zeros(used.shape)
+                shift[used] = event.jacobian @ off
+                residual[events.rows] += shift
+    return residual
+
+
+def _moved(mean: Array, event: Predict | Augment) -> Array:
+    """Return a mean (n,) after a prediction of the pose, or with a new landmark behind it."""
+    if event.point is None or event.after is None:
+        raise ValueError("an event without its points")
+    off = event.jacobian @ (mean[: len(event.point)] - event.point)
+    if isinstance(event, Augment):
+        return np.concatenate((mean, event.after + off))
+    return np.concatenate((event.after + off, mean[len(off) :]))
 
 
 def watch(ekf: Ekf, run: EkfRun, take: Callable[[Event], object]) -> None:
@@ -190,7 +241,10 @@ class _Watch(Trace):
 
 
 class _Events:
-    """The events of a run, numbered as they are made. now: number and time of the last one."""
+    """The events of a run, numbered as they are made.
+
+    now: number and time of the last one. rows: of the records that the last update was of.
+    """
 
     def __init__(self, run: EkfRun) -> None:
         self._run, self._number = run, -1
@@ -200,6 +254,8 @@ class _Events:
         epoch = np.minimum(np.searchsorted(run.timeline.steps_until(), made), len(time_s) - 1)
         self._stands_s = time_s[epoch].tolist()
         self._time_s = float(time_s[0])
+        self.rows = slice(0, 0)
+        self._entries: dict[LandmarkKind | None, Array] = run.single_entries
 
     @property
     def now(self) -> tuple[int, float]:
@@ -261,6 +317,7 @@ class _Events:
     ) -> Update:
         """Return what rows from begin to end were fused as. kind: None for positions."""
         at, origin = slice(begin, end), int(used.origin[begin])
+        self.rows = at
         index = used.landmark_index[at].tolist()
         names = [] if kind is None else [self.name(kind, i) for i in index]
         first, sensor = VEHICLE, POSITIONS if kind is None else SENSORS[kind]
@@ -277,15 +334,26 @@ class _Events:
             h[r * i : r * (i + 1), to : to + width] = used.jacobian_other[begin + i]
             point[to : to + width] = used.landmark[begin + i]
         residual, noise = used.innovation[at].ravel(), _diagonal(used.noise[at])
+        numbers = used.number[at].astype(float)
+        if (rows := self._single(kind, at)) is not None:
+            entries = np.unique(rows % r)
+            sensor = self._run.sensor_of(sensor, int(entries[0])) if len(entries) == 1 else sensor
+            residual, h, noise = residual[rows], h[rows], noise[np.ix_(rows, rows)]
+            numbers = np.repeat(numbers, r)[rows]
         return Update(
             *(*self._next(), sensor, blocks, residual, h, noise),
             used=True,
             correction=None,
             gain=None,
             point=point,
-            numbers=used.number[at].astype(float),
+            numbers=numbers,
             weight=float(used.weight[begin]),
         )
+
+    def _single(self, kind: LandmarkKind | None, at: slice) -> Index | None:
+        """Return the entries that were used of some rows' measurements; None where all were."""
+        entries = self._entries.get(kind)
+        return None if entries is None or entries[at].all() else np.flatnonzero(entries[at].ravel())
 
     def remove(self, kind: LandmarkKind, landmark_index: int) -> Remove:
         """Return the removal of a landmark."""

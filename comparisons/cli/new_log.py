@@ -14,7 +14,7 @@ import typer
 
 from comparisons.cli.flags import argument, parameter, set_parameters
 from comparisons.cli.support import guarded
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 
 if TYPE_CHECKING:
     from comparisons.logs.plain_csv import PlainTable
@@ -98,7 +98,7 @@ def new_log(folder: Path, **given: Any) -> None:
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
-        if examined.findings:
+        if examined.words:
             typer.echo(f"warning: {examined.words}")
         name = shlex.quote(str(folder))
         typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
@@ -110,7 +110,7 @@ def _units(given: Sequence[str]) -> dict[str, str]:
     for text in given:
         column, equals, unit = text.rpartition("=")
         if not (equals and column and unit):
-            raise InputError(f"--unit is '{text}', expected COLUMN=UNIT, as bearing=deg")
+            raise InputError(f"--unit is '{shorten(text)}', expected COLUMN=UNIT, as bearing=deg")
         found[column] = unit
     return found
 
@@ -145,7 +145,9 @@ def _pose(text: str | None) -> tuple[float, float, float] | None:
     try:
         x, y, heading = (float(word) for word in text.split(","))
     except ValueError:
-        raise InputError(f"--prior-pose is {text!r}, expected x,y,heading in m and rad") from None
+        raise InputError(
+            f"--prior-pose is {quoted(text)}, expected x,y,heading in m and rad"
+        ) from None
     return x, y, heading
 
 

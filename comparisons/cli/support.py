@@ -12,7 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, one_line, printable, unusable_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -91,7 +91,7 @@ def guarded(*, log_file: Path | None = None) -> Iterator[None]:
     except InputError as error:
         fail(str(error), UNUSABLE)
     except OSError as error:
-        fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
+        fail(unusable_file(error), UNUSABLE)
     except MemoryError:
         fail("not enough memory for this log", UNUSABLE)
     except RecursionError:
@@ -164,7 +164,7 @@ def _is(error: Exception, module: str, name: str) -> bool:
 def fail(message: str, code: int) -> NoReturn:
     """One line on standard error, and the exit code."""
     with suppress(OSError, ValueError):
-        print(f"slamcheck: {printable(' '.join(message.split()))}", file=sys.stderr)
+        print(f"slamcheck: {printable(one_line(' '.join(message.split())))}", file=sys.stderr)
     raise SystemExit(code)
 
 

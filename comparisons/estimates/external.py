@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, quoted
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     FILES,
@@ -23,6 +23,7 @@ from comparisons.estimates.folder import (
     read_scan_landmarks,
     read_trajectory,
 )
+from comparisons.estimates.landmark_names import LandmarkNames, is_whole
 from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.stamps import Nanoseconds
@@ -54,7 +55,7 @@ class ExternalEstimate(Brief):
         trace: Where the filter linearised, for its algebra and model gaps.
         sha256: Of the files that it was read from, by name.
         left_out: Which poses of its file were not read, and why; empty where all were.
-        labels: Names of landmarks by id, where its file names them by text.
+        labels: Names of landmarks by id, as its file spells them; none where arrays have ids.
         time_ns: (K,) the times exactly as its file has them, in whole nanoseconds; None where
             `time_s` tells as much, as float64 does not of seconds since 1970.
     """
@@ -75,31 +76,35 @@ class ExternalEstimate(Brief):
     time_ns: Nanoseconds | None = None
 
     def numbered_as(self, labels: Mapping[int, str]) -> ExternalEstimate:
-        """Return it with the ids that a log has for its landmarks' names.
+        """Return it with the ids that a log has for its landmarks, in the map and in the trace.
 
         Args:
-            labels: Of the log: names by id.
+            labels: Of the log: names by id; none where it has numbers alone.
 
         Returns:
-            The same where its landmarks have no names; names that the log lacks get further ids.
+            The same where there are no landmarks. Names that the log lacks get further ids.
 
         Raises:
-            InputError: The log names landmarks by numbers.
+            InputError: The log names landmarks by numbers and the estimate does not, or a block of
+                the trace is none of the estimate's landmarks.
         """
-        if not self.labels or self.landmark_id is None:
+        if self.landmark_id is None:
             return self
-        if not labels:
-            name = next(iter(self.labels.values()))
+        ids = self.landmark_id.tolist()
+        words = [self.labels.get(number, str(number)) for number in ids]
+        text = next((word for word in words if not is_whole(word)), None)
+        if text is not None and not labels:
             raise InputError(
-                f"the estimate names landmarks by text ('{printable(name)}'), the log by numbers; "
+                f"the estimate names landmarks by text ({quoted(text)}), the log by numbers; "
                 "use the numbers of the log's measurements.csv"
             )
-        known = {text: number for number, text in labels.items()}
-        names = [self.labels.get(i, str(i)) for i in self.landmark_id.tolist()]
-        for name in names:
-            known.setdefault(name, max(known.values()) + 1)
-        ids = np.array([known[name] for name in names], dtype=np.int64)
-        return replace(self, landmark_id=ids, labels={known[name]: name for name in names})
+        names = LandmarkNames(labels, words if self.labels else ids)
+        return replace(
+            self,
+            landmark_id=np.array(names.numbers, dtype=np.int64),
+            labels=dict(zip(names.numbers, words, strict=True)) if names.are_labels else {},
+            trace=None if self.trace is None else self.trace.placed(names),
+        )
 
     @classmethod
     def of(cls, estimate: Estimate) -> ExternalEstimate:
@@ -291,6 +296,7 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
     labels: Mapping[int, str] = {}
     if (path / "landmarks.csv").exists():
         ids, places, labels = read_landmarks(path / "landmarks.csv")
+        labels = labels or {number: str(number) for number in ids.tolist()}
     covariances = _read_covariances(path, len(pose), 0 if places is None else len(places))
     if trace is not None and ids is None:
         raise InputError(f"{trace}: needs landmarks.csv beside the trajectory")
@@ -304,7 +310,7 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         joint_covariance=covariances.joint,
         information=information,
         estimator=estimator,
-        trace=None if trace is None or ids is None else read_trace(trace, ids),
+        trace=None if trace is None else read_trace(trace),
         labels=labels,
         time_ns=time_ns,
     )

@@ -11,11 +11,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from comparisons.archive import read_archive
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault, toml_text
 from comparisons.logs.stamps import Nanoseconds
-from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml, shorten
+from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
 

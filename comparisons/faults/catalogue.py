@@ -29,6 +29,7 @@ NAMED = tuple(
 """Faults with a short name each, planted in the filter."""
 _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
+_LABELS = {"landmark initialised again", "labels exchanged", "gate of sigmas"}
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _VARIANCES = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 _STARTS = (0.0, 1e-12, 1e-10, 1e-9, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
@@ -69,6 +70,8 @@ def catalogue(log: Log) -> Iterator[Fault]:
         skipped |= _STEERING
     if log.positions is None:
         skipped |= _POSITIONS
+    if not log.measurements.labelled:
+        skipped |= _LABELS
     yield from (one for one in NAMED if one.name not in skipped)
     yield Fault("Q is not rotated into the map's axes", moving(models.noise_in_body_axes))
     for of, row, entries in _SIGNS:

@@ -7,7 +7,7 @@ differ by more than rounding. `check` asks for both facts before it runs a refer
 
 from __future__ import annotations
 
-from contextlib import suppress
+import contextlib
 from dataclasses import replace
 from decimal import Decimal
 
@@ -121,7 +121,7 @@ def _equal_poses(given: ExternalEstimate, prepared: Prepared[SolveConfig], count
     """How many of the first poses are those of the reference EKF, to rounding."""
     first = with_poses(given, np.arange(len(given.time_s)) < count)
     beside = _Beginning(first.time_s)
-    with suppress(Left):
+    with contextlib.suppress(Left):
         filter_named(EKF, prepared, first.time_s, lambda ekf: beside)
     reference = beside.reference()
     left_s = departed_s(with_poses(first, np.isin(first.time_s, reference.time_s)), reference)

@@ -387,7 +387,7 @@ def _with_departure(found: ExternalCheck) -> ExternalCheck:
 
 
 def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
-    """Name the fault with which the reference filter reproduces an estimate, if one does."""
+    """Name the fault that makes the reference filter reproduce an estimate, if one does."""
     prepared, sound, inside = found.solution.prepared, found.grade.by, found.inside
     filters = [peer for peer in found.peers if not peer.smoothed]
     if not filters:
@@ -473,6 +473,7 @@ def check_external(
     """
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
     instants_s = solution.prepared.timeline.instants_s()
+    given = given.numbered_as(solution.prepared.log.labels)
     given = replace(given, time_s=at_instants(given.time_s, instants_s))
     inside = with_poses(given, within_log(given, solution.estimate))
     unsound = "" if given.trace is None else given.trace.unsound
@@ -526,7 +527,7 @@ def check_external(
     small = []
     if outcome == "agree":
         small = [
-            f"{one.gap}, though the grade suffices: {one.evidence}"
+            f"warning (grade reached): {one.gap}: {one.evidence}"
             for one in causes
             if one.gap in FILTER_FAULTS
         ]
@@ -674,7 +675,9 @@ def _causes(grade: Graded, known: list[Cause], found: ExternalAgreement) -> tupl
     causes = list(known)
     if found.against and grade.value in ("wrong", None):
         hint = (
-            "check the causes before this one" if known else "check associations, signs and noise"
+            "probably a consequence of the causes above"
+            if known
+            else "check associations, signs and noise"
         )
         causes.append(Cause("optimum", "; ".join(found.against), hint))
     if not causes and not grade.enough and grade.by is not None:
@@ -770,14 +773,11 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
     if absent := given.absent:
         if "landmarks" in absent:
             absent = [one for one in absent if one in ("landmarks", "pose covariances")]
-        judged = ["the last pose"] if found.last is not None else []
-        judged += ["landmarks"] if found.landmarks else []
-        judged.append(
-            "the position of every pose"
-            if given.pose_covariance is None
-            else "the covariance of every pose"
+        compared = ["poses"] if given.pose_covariance is None else ["poses", "pose covariances"]
+        compared += ["landmarks"] if found.landmarks else []
+        remarks.append(
+            f"the estimate has no {', no '.join(absent)}; compared {' and '.join(compared)} only"
         )
-        remarks.append(f"the estimate has no {', no '.join(absent)}; compared: {', '.join(judged)}")
     if given.left_out:
         remarks.append(given.left_out)
     if len(found.time_s) < len(given.time_s):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, quoted, shorten
 from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
@@ -150,7 +150,7 @@ class _Reading:
             table = self._with_imu(table, self.files.imu)
         self.kind = self.files.kind or self._kind(table)
         if self.kind not in KINDS:
-            raise InputError(f"--kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
+            raise InputError(f"--kind is {quoted(self.kind)}, expected one of {', '.join(KINDS)}")
         needed = ("time_s", *KINDS[self.kind])
         need(table, needed)
         moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
@@ -372,8 +372,8 @@ class _Reading:
         number, unit = split_unit(text)
         if number is None or unit not in ("", *units):
             raise InputError(
-                f"{OPTIONS[name]} is '{text}', expected a number, or one with a unit behind it: "
-                f"{', '.join(units)}"
+                f"{OPTIONS[name]} is '{shorten(text)}', expected a number, or one with a unit "
+                f"behind it: {', '.join(units)}"
             )
         if unit:
             return number * units[unit]
@@ -391,7 +391,10 @@ class _Reading:
         known = {one for table in self.tables.values() for one in table.stated}
         for given, unit in self.files.units.items():
             if given.rpartition(":")[2] not in known:
-                raise InputError(f"--unit {given}={unit}: no file has such a column that is read")
+                raise InputError(
+                    f"--unit {shorten(given)}={shorten(unit)}: no file has such a column that "
+                    "is read"
+                )
 
     def _within(self, stream: str, table: PlainTable) -> PlainTable:
         """The records during the odometry; the others are left out, and counted aloud."""

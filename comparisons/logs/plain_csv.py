@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.from_arrays import COVARIANCE, GAPS, LABELS, TWIST
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
 from comparisons.logs.stamps import (
@@ -33,7 +33,7 @@ from comparisons.logs.stamps import (
     resolved_by_floats,
     seconds_after,
 )
-from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text, shorten
+from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text
 
 SEE = "see docs/your-own-log.md"
 _DEGREE = pi / 180
@@ -354,13 +354,13 @@ def _stated(lines: _Lines, name: str, source: _Source, units: Mapping[str, str])
     unit = units[given].removeprefix("-")
     if unit not in known or (unit != units[given] and name not in _SIGNED):
         raise InputError(
-            f"--unit {given}={units[given]}: the unit is unknown, expected "
+            f"--unit {shorten(given)}={shorten(units[given])}: the unit is unknown, expected "
             f"{', '.join(known) or 'none'}"
         )
     if source.unit is not None and known[source.unit] != known[unit]:
         raise InputError(
-            f"--unit {given}={units[given]}: '{shorten(header)}' of {lines.path} says "
-            f"{source.unit}, expected the same"
+            f"--unit {shorten(given)}={shorten(units[given])}: '{shorten(header)}' of "
+            f"{lines.path} says {source.unit}, expected the same"
         )
     return source._replace(unit=units[given], stated=given)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
@@ -13,12 +14,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, check_regular, printable
+from comparisons.errors import InputError, RecordError, check_regular, shorten, unusable_file
 from comparisons.logs.stamps import Nanoseconds, nanoseconds, resolved_by_floats, seconds_after
 
 _TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
 _QUOTED = re.compile(r"""\"[^"\n]*"|'[^'\n]*'""")
+_LONG_INTEGER = re.compile(r"[0-9a-fA-F_]{16}")
 _BETWEEN = re.compile(r"[=,#\[\]{}\n]")
 """Ends a dotted key of TOML."""
 
@@ -198,6 +200,8 @@ def reading(path: Path) -> Iterator[None]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8, expected one") from None
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise InputError(unusable_file(error, path)) from None
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 
@@ -212,18 +216,25 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """A TOML text as nested mappings. Raises ValueError, also for what would take tomllib hours.
 
-    Its time and memory grow with the square of a key's parts.
+    Its time and memory grow with the square of a key's parts. A whole number beyond 64 bits is
+    refused: hexadecimal digits may make one that Python cannot spell.
     """
     for piece in _BETWEEN.split(_QUOTED.sub('""', text)):
         if piece.count(".") > _MOST_PARTS:
             raise ValueError(f"a key of more than {_MOST_PARTS} parts")
     try:
-        return tomllib.loads(text)
+        found = tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deep") from None
+    if _LONG_INTEGER.search(text):
+        _check_integers(found)
+    return found
 
 
-def shorten(word: str, limit: int = 40) -> str:
-    """A word as it may stand in a one-line error."""
-    shown = printable(word)
-    return shown if len(shown) <= limit else shown[: limit - 3] + "..."
+def _check_integers(value: Any) -> None:
+    """Raise ValueError for a whole number that TOML does not promise to hold."""
+    if isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            _check_integers(part)
+    elif isinstance(value, int) and abs(value) >= 2**64:
+        raise ValueError("a whole number of more than 64 bits")

@@ -93,7 +93,7 @@ def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: Externa
     found = check(log, bare(whole))
     assert found.outcome == "agree"
     assert "the estimate has no landmarks, no pose covariances" in found.remarks[0]
-    assert "compared: the last pose" in found.remarks[0]
+    assert "; compared poses" in found.remarks[0]
     assert found.consistency.unjudged == "the estimate has no pose covariances"
 
 
@@ -473,7 +473,7 @@ WRONG: dict[str, tuple[Defect, str, str, str]] = {
     ),
     "no headings": (headed(lambda h: 0.0 * h), "heading", "all headings are 0 degrees", COLUMN),
     "headings not halved": (headed(lambda h: 2.0 * h), "heading", "is not halved", COLUMN),
-    "exchanged": (EXPORTS["two landmarks exchanged"], "association", "at the position of", ""),
+    "exchanged": (EXPORTS["two landmarks exchanged"], "association", "coincide with others", ""),
     "too sure": (EXPORTS["all covariances a third"], "covariance", "is 0.33 times", ""),
     "called smoothed": (
         lambda given: replace(given, information="smoothed"),

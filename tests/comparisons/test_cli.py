@@ -138,8 +138,9 @@ def test_a_folder_of_another_run_is_not_replaced_in_silence(tmp_path: Path) -> N
     other = (*run, "--association", "nn", "--out", "slamcheck-simulated-loop")
     kept = (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes()
     assert refused(*other, cwd=tmp_path) == (
-        "slamcheck: slamcheck-simulated-loop: holds another run (ekf.association unset, not nn); "
-        "give --replace, or --out slamcheck-simulated-loop-2"
+        "slamcheck: slamcheck-simulated-loop: holds a run with other settings "
+        "(ekf.association unset there, nn here); give --replace, or --out "
+        "slamcheck-simulated-loop-2"
     )
     assert (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes() == kept
     assert slamcheck(*other, "--replace", cwd=tmp_path).returncode == 0

@@ -112,7 +112,7 @@ def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
     )
     assert found.headline == "agree, association unchecked"
     assert found.failed_on == ("association",)
-    assert "the stated sigmas are too small" in found.remarks[0]
+    assert "times what its covariance states" in found.remarks[0]
 
 
 def test_what_is_beyond_its_own_limit_most_is_remarked() -> None:

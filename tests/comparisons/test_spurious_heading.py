@@ -71,14 +71,14 @@ def test_the_cause_says_it_where_it_matters() -> None:
         return linearisation_cause(c.agreement, run, None, found).evidence
 
     assert evidence(0.2).endswith(
-        "the filter has learnt its global heading to 0.8 degrees from measurements that cannot "
-        "tell it, most from 10.0 to 20.0 s and, by a single update, with landmark 7 at 15.0 s"
+        "the filter claims its absolute heading to 0.8 degrees, which no measurement observes "
+        "(gained fastest from 10.0 to 20.0 s; the largest single gain is with landmark 7 at 15.0 s)"
     )
-    assert "learnt" not in evidence(0.07)
+    assert "claims" not in evidence(0.07)
     nothing = found._replace(
         directions=(replace(found.of(HEADING), information=0.0, largest=None),)
     )
-    assert "learnt" not in evidence(0.2, nothing)
+    assert "claims" not in evidence(0.2, nothing)
 
 
 def half_of_the_updates(events: Iterable[Event]) -> Iterator[Event]:

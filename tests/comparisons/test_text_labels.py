@@ -24,10 +24,9 @@ from tests.helpers import compared, present
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
 
 
-@pytest.fixture(scope="module")
-def log() -> Log:
+def labelled_drive(steps: int) -> Log:
     """A short drive; its landmarks are numbered by first measurement."""
-    found = drive(5, "velocity", 120)
+    found = drive(5, "velocity", steps)
     order = found.measurements.labels_in_order.tolist()
     number = np.array([order.index(one) for one in found.measurements.landmark.tolist()])
     labels = {NAMES[k]: k for k in range(len(order))}
@@ -36,6 +35,11 @@ def log() -> Log:
         measurements=replace(found.measurements, landmark=number),
         provenance={"labels": json.dumps(labels)},
     )
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return labelled_drive(120)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ class Departure:
 
     Attributes:
         time_s: when.
-        what: what departs from what.
+        what: what it departs from.
         event: event that it departs with.
         measurements: numbers of the measurements of that instant; none of a prediction or position.
         landmarks: their labels.
@@ -41,7 +41,7 @@ class Departure:
 
     def __str__(self) -> str:
         """Return it as a remark."""
-        return f"first departure: {self.what} at {self.time_s:.9g} s, {self.event}"
+        return f"first difference from {self.what} at {self.time_s:.9g} s, {self.event}"
 
 
 def departure_from(
@@ -64,7 +64,7 @@ def departure_from(
     event = "without a measurement: check the prediction and the prior"
     if len(rows):
         event = f"after {_measured(rows.tolist(), log)}"
-    return _departure(given, time_s, f"the poses leave {name}", event, rows.tolist(), log)
+    return _departure(given, time_s, name, event, rows.tolist(), log)
 
 
 def model_departure(
@@ -81,7 +81,7 @@ def model_departure(
     event = f"in a {first.relation.removesuffix('s')} ({first.quantity})" + (
         f", {_measured(rows, log)}" if rows else ""
     )
-    what = "the trace leaves the log's models"
+    what = "the log's models"
     return _departure(given, first.first_s or 0.0, what, event, rows, log)
 
 

@@ -59,8 +59,12 @@ def read(path: Path, robot: int) -> Log:
             raise InputError(f"{table.path}: holds no records")
     start = odometry.decimals("time")[0]
     with odometry.locating():
-        time_s = seconds_after(odometry.decimals("time"), start)
-        motion = VelocityOdometry(time_s, odometry["v"], odometry["omega"], _NOISE)
+        motion = VelocityOdometry(
+            seconds_after(odometry.decimals("time"), start),
+            odometry["v"],
+            odometry["omega"],
+            _NOISE,
+        )
     motion = replace(motion, time_s=motion.time_s + _ODOMETRY_LEAD_S)
     with captured.locating():
         pose = np.column_stack((captured.data[:, 1:3], np.unwrap(captured["heading"])))

@@ -15,8 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from comparisons.errors import InputError, check_regular, printable
-from comparisons.logs.table import shorten
+from comparisons.errors import InputError, check_regular, printable, shorten
 
 _MAGICS = {b"\x89MCAP0\r\n": "ros2", b"#ROSBAG V": "ros1", b"SQLite format 3\0": "ros2"}
 _METADATA = "metadata.yaml"

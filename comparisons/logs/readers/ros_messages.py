@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
-from comparisons.logs.table import shorten
+from comparisons.errors import InputError, shorten
 from comparisons.logs.validation import LARGEST
 
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

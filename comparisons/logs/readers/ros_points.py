@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.odometry_noise import LARGEST_VARIANCE
 from comparisons.logs.readers.ros_messages import frame, planar_pose
 from comparisons.logs.validation import LARGEST
@@ -40,12 +40,10 @@ class Points:
 def markers(message: Any, place: str) -> Points | None:
     """A MarkerArray's cubes, spheres and cylinders, named by name space and number."""
     found = [m for m in message.markers if int(m.action) == _ADD and int(m.type) in _SOLID]
-    for one in found:
-        if frame(one.header.frame_id) != frame(found[0].header.frame_id):
-            raise InputError(
-                f"{place}: frames are {found[0].header.frame_id} and {one.header.frame_id}, "
-                "expected one"
-            )
+    frames = list(dict.fromkeys(frame(m.header.frame_id) for m in found))
+    if len(frames) > 1:
+        names = " and ".join(map(shorten, frames[:2]))
+        raise InputError(f"{place}: frames are {names}, expected one")
     points = [_point(m.pose.position) for m in found]
     label = [f"{m.ns}/{m.id}" if m.ns else str(m.id) for m in found]
     return _points(points, [np.full((3, 3), np.nan)] * len(found), label, [""] * len(found), place)

@@ -225,7 +225,7 @@ DONE_WRONG: dict[str, tuple[Event, Callable[[Array], Array]]] = {
         MEASURE,
         lambda p: alone(updated(p)),
     ),
-    "0.02 was then added to the covariance's diagonal": (
+    "0.02 was added to the covariance's diagonal": (
         MEASURE,
         lambda p: updated(p) + 0.02 * np.eye(4),
     ),

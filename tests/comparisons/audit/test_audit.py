@@ -168,7 +168,7 @@ FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
     ("gps", scaled_gain(0.5), "position", "with 0.5 times Kalman's gain, in Joseph's form"),
     ("gps", scaled_gain(0.5, short=True), "position", "with 0.5 times Kalman's gain"),
     ("gps", added_khp, "position", "P + K H P, of the wrong sign"),
-    ("gps", lambda p, before: 1.02 * p, "position", "was then multiplied by 1.02"),
+    ("gps", lambda p, before: 1.02 * p, "position", "was multiplied by 1.02"),
     ("clone", uncorrelated_clone, "clone position", "was not correlated"),
     ("remove", wrong_removal, "clone", "not marginalised"),
 ]
@@ -251,7 +251,7 @@ def test_another_gain_is_named_not_condemned(
         (lambda c: np.concatenate((c[:4], 0 * c[4:])), "does not correct the estimate of bias"),
         (lambda c: np.concatenate((c[:4], -c[4:])), "wrong sign"),
         (lambda c: np.concatenate((c[:4], 2 * c[4:])), "twice"),
-        (lambda c: np.concatenate((c[:4], c[4:] + 0.1)), "other than gain times residual"),
+        (lambda c: np.concatenate((c[:4], c[4:] + 0.1)), "that is not gain x residual"),
     ],
 )
 def test_a_correction_that_is_not_gain_times_residual(
@@ -390,12 +390,27 @@ def test_a_gain_of_another_matrix_is_named(
 @pytest.mark.parametrize(
     ("correction", "text"),
     [
-        (lambda k, s, z, last: k @ s @ z, "by P H^T times residual, without the inverse of S"),
-        (lambda k, s, z, last: 2.0 * k @ z, "of position, velocity twice"),
-        (lambda k, s, z, last: k @ last[0], "by gain times the residual of the update before"),
-        (lambda k, s, z, last: last[1] @ z, "by the gain of the update before times residual"),
-        (lambda k, s, z, last: last[1] @ last[0], "by the correction of the update before"),
-        (lambda k, s, z, last: 1.01 * k @ last[0], "of position, velocity by other than gain"),
+        (
+            lambda k, s, z, last: k @ s @ z,
+            "estimate by P H^T times residual, without the inverse of S",
+        ),
+        (lambda k, s, z, last: 2.0 * k @ z, "estimate of position, velocity twice"),
+        (
+            lambda k, s, z, last: k @ last[0],
+            "estimate by gain times the residual of the update before",
+        ),
+        (
+            lambda k, s, z, last: last[1] @ z,
+            "estimate by the gain of the update before times residual",
+        ),
+        (
+            lambda k, s, z, last: last[1] @ last[0],
+            "estimate by the correction of the update before",
+        ),
+        (
+            lambda k, s, z, last: 1.01 * k @ last[0],
+            "applies a correction of position, velocity that is not gain",
+        ),
     ],
 )
 @pytest.mark.parametrize("every", [1, 3])
@@ -405,7 +420,7 @@ def test_a_correction_by_another_events_numbers_is_named(
     found = audited_line(tmp_path, every, correction=correction)
     first = found.findings[0]
     assert (first.check, first.fault) == ("correction", True)
-    assert f"corrects the estimate {text}" in first.text
+    assert text in first.text
 
 
 def audited_line(
