@@ -51,6 +51,14 @@ from comparisons.fingerprints.clock import (
     works_with_floats,
     written_from_floats,
 )
+from comparisons.fingerprints.data_use import (
+    LeftOut,
+    SelectedMeasurements,
+    find_left_out,
+    left_out_of,
+    with_removed,
+    without,
+)
 from comparisons.fingerprints.estimate_motion import (
     in_words,
     integrations_by_steps,
@@ -222,8 +230,9 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
-    given = given.numbered_as(log.labels)
+    given = with_removed(given.numbered_as(log.labels), log)
     job, found = job.clocked(given)
+    job = replace(job, log=_selected(job.log, found))
     unsound = given.trace is not None and given.trace.unsound
     if not (found.exact or unsound or len(found.inside.time_s) < FEWEST):
         progress("motion models", 0, 0)
@@ -294,13 +303,28 @@ class _Job:
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
-        prepared = self.own.prepared
-        instants_s = prepared.timeline.instants_s()
+        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
         given = on_log_clock(given, self.log, instants_s)
         placed = replace(given, time_s=at_instants(given.time_s, instants_s))
+        left_out = self._left_out(placed)
+        if left_out is not None:
+            other = replace(self, log=without(self.log, left_out.rows))
+            return _saying(left_out.said(self.log), other._started(given, placed))
+        return self._started(given, placed)
+
+    def _started(self, given: ExternalEstimate, placed: ExternalEstimate) -> ExternalCheck:
+        """The same once what is left out is. placed: at the log's instants."""
         inside = with_poses(placed, within_log(placed, self.own.estimate))
-        found = integrations_by_steps(inside, prepared)
+        found = integrations_by_steps(inside, self.own.prepared)
         return self._moving(given, found) if found else self._graded(given, self.own)
+
+    def _left_out(self, placed: ExternalEstimate) -> LeftOut | None:
+        """What the filter of a trace left out by a rule, if it is one of the log's labels."""
+        prepared = prepare_solve(self.log, self.config)
+        sound = placed.trace is not None and not placed.trace.unsound
+        if not (sound and prepared.labelled) or self.log.known_landmarks is not None:
+            return None
+        return left_out_of(self.log, trace_run(placed, prepared)[0])
 
     def _graded(self, given: ExternalEstimate, solution: Solution) -> ExternalCheck:
         require, least = self.config.require, self.config.min_coverage
@@ -322,17 +346,40 @@ class _Job:
         again = self._graded(given, self.solver(log, self.config, self.progress))
         steps = " or ".join(in_words(one) for one in integrations)
         said = f"the estimate's steps lead {steps}; so do those of references and smoother"
-        return replace(again, remarks=(said, *again.remarks))
+        return _saying(said, again)
 
     def explained(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same once a fault reproduces the estimate, or it is sound; None where neither is."""
         if first.outcome == "agree":
             return first
-        found = _of_sigma_points(first) or _named(first, self.progress) or _within_spread(first)
+        found = self.selected(first)
+        found = (
+            found
+            or _of_sigma_points(first)
+            or _named(first, self.progress)
+            or _within_spread(first)
+        )
         if found is None and first.variants:
             other = self.integrated(first, FILTERS)
             found = other if other.outcome == "agree" else _within_spread(other)
         return found
+
+    def selected(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same beside references that leave out what its filter seems to, if it is like one.
+
+        None where a trace says what its filter used, or labels do not say of what they are.
+        """
+        prepared = first.solution.prepared
+        known = prepared.labelled and prepared.log.known_landmarks is None
+        if first.trace is not None or not known or not first.peers or first.peers[0].smoothed:
+            return None
+        sound = likeness(first.inside, first.peers[0], labelled=True)
+        left_out = find_left_out(first.inside, prepared, sound)
+        if left_out is None:
+            return None
+        log = without(prepared.log, left_out.rows)
+        again = self._graded(first.given, self.solver(log, self.config, self.progress))
+        return _saying(left_out.said(self.log), again) if again.outcome == "agree" else None
 
     def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same where the estimate is explained once a motion of all of it is undone.
@@ -368,6 +415,17 @@ class _Job:
             then = f"the estimate {equal} {near.reference.name} ({near.farthest:.2g} sigma)"
         said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
+
+
+def _selected(log: Log, found: ExternalCheck) -> Log:
+    """Return the log that a check was made by, without what the estimate's filter left out."""
+    seen = found.solution.log.measurements
+    return replace(log, measurements=seen) if isinstance(seen, SelectedMeasurements) else log
+
+
+def _saying(remark: str, found: ExternalCheck) -> ExternalCheck:
+    """Return a check with a remark before all others."""
+    return replace(found, remarks=(remark, *found.remarks))
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
@@ -793,6 +851,8 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
             remarks.append(
                 "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"
             )
+    if given.removed is not None:
+        remarks.append(f"landmarks of the log that the map lacks: {given.removed.words}")
     if found.unmatched:
         remarks.append(f"{found.unmatched} landmarks of the estimate are not in the smoother's map")
     return remarks
