@@ -345,7 +345,7 @@ class _Job:
         log = replace(self.log, integration=integrations[0])
         again = self._graded(given, self.solver(log, self.config, self.progress))
         steps = " or ".join(in_words(one) for one in integrations)
-        said = f"the estimate's steps lead {steps}; so do those of references and smoother"
+        said = f"the estimate integrates steps {steps}; references and smoother do so, too"
         return _saying(said, again)
 
     def explained(self, first: ExternalCheck) -> ExternalCheck | None:
@@ -407,7 +407,7 @@ class _Job:
         found = self.explained(self.integrated(self.started(other), ORDERS))
         if found is None or found.grade.by is None:
             return None
-        near, then = found.grade.by, "what is left has the cause that follows"
+        near, then = found.grade.by, "the rest of the difference has the next cause"
         if found.outcome == "agree" and found.grade.value == "plausible":
             then = "the estimate is plausible beside the smoother"
         elif found.outcome == "agree":
