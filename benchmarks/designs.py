@@ -290,7 +290,7 @@ class Filter:
         for _ in range(self.design.rounds):
             whole = self.linearised(ks, names, x)
             h, nu, r, point = whole[0][chosen], whole[1][chosen], whole[2][chosen][:, chosen], x
-            nu = nu - (h @ (mean - point)).astype(self.dtype)
+            nu = nu - np.asarray(h @ np.subtract(mean, point), self.dtype)
             gain = np.linalg.solve(h @ self.p @ h.T + r, h @ self.p).T
             x = mean + gain @ nu
             if np.abs(x - point).max() < 1e-12:
@@ -330,7 +330,7 @@ class Filter:
             stack = np.block(
                 [[np.linalg.cholesky(r).T, np.zeros((m, len(p)))], [root.T @ h.T, root.T]]
             )
-            upper = np.linalg.qr(stack, mode="r")[m:, m:]
+            upper = np.asarray(np.linalg.qr(stack, mode="r"))[m:, m:]
             return np.asarray(upper.T @ upper, self.dtype)
         if form == "information":
             found = np.linalg.inv(np.linalg.inv(p) + h.T @ np.linalg.inv(r) @ h)

@@ -113,8 +113,8 @@ def residuals_at_points(run: EkfRun) -> Array:
     residual, entries, before = used.innovation.copy(), used.entries > 0.0, np.zeros(0)
     for event, rows, mean, replay in _means(run):
         if isinstance(event, Update) and event.sensor.endswith(SENSORS[POINT]):
-            at = replay.layout.columns(event.blocks)
-            off, left = before[at] - event.point, mean[at] - event.point
+            at, point = replay.layout.columns(event.blocks), np.asarray(event.point)
+            off, left = before[at] - point, mean[at] - point
             if np.abs(left).max() < _NEARER * np.abs(off).max():
                 shift = np.zeros(entries[rows].shape)
                 shift[entries[rows]] = event.jacobian @ off

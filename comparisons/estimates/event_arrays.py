@@ -136,12 +136,12 @@ class _Reading:
 
     def _prior(self, event: events.Prior) -> None:
         if event.dims != (_POSE,) or event.charts not in ((), (events.ADDITIVE,), ("se2",)):
-            self._refuse(event, "begins with another state than a pose of x, y and heading")
+            self._refuse(event, "the prior is not of a pose of x, y and heading alone")
         self.prior = event
 
     def _predict(self, event: events.Predict) -> None:
         if event.blocks != self.prior.blocks:
-            self._refuse(event, "moves more than the pose; expected its block alone")
+            self._refuse(event, "predicts more than the pose; expected its block alone")
         if event.time_s is None:
             self._refuse(event, "has no time; set it with at(time_s)")
         self._put(
@@ -177,7 +177,7 @@ class _Reading:
             self._refuse(event, f"block {quoted(event.name)} has {width} entries, expected a point")
         (source, *others) = event.blocks
         if others or not self._is_pose(source) or event.noise.shape != (_POINT, _POINT):
-            self._refuse(event, "begins a landmark by more than the pose and one measurement")
+            self._refuse(event, "initialises a landmark by more than the pose and one measurement")
         self.blocks[event.name] = len(self.names)
         self.names.append(event.name)
         self._put(

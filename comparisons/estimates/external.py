@@ -26,6 +26,7 @@ from comparisons.estimates.folder import (
 from comparisons.estimates.landmark_names import LandmarkNames, is_whole
 from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
+from comparisons.logs.stamps import Nanoseconds
 from comparisons.logs.validation import LARGEST
 from comparisons.shown import Brief
 from ekf_reference.core.layout import Layout
@@ -65,6 +66,8 @@ class ExternalEstimate(Brief):
         sha256: Of the files that it was read from, by name.
         left_out: Which poses of its file were not read, and why; empty where all were.
         labels: Names of landmarks by id, as its file spells them; none where arrays have ids.
+        time_ns: (K,) the times exactly as its file has them, in whole nanoseconds; None where
+            `time_s` tells as much, as float64 does not of seconds since 1970.
     """
 
     time_s: Array
@@ -80,6 +83,7 @@ class ExternalEstimate(Brief):
     sha256: Mapping[str, str] = field(default_factory=dict)
     left_out: str = ""
     labels: Mapping[int, str] = field(default_factory=dict)
+    time_ns: Nanoseconds | None = None
     removed: Removed | None = None
 
     def numbered_as(self, labels: Mapping[int, str]) -> ExternalEstimate:
@@ -227,7 +231,9 @@ class ExternalEstimate(Brief):
 def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
     """Return an estimate with some of its poses (K,) alone."""
     cover = None if given.pose_covariance is None else given.pose_covariance[rows]
-    return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
+    exact = None if given.time_ns is None else given.time_ns[rows]
+    time_s, pose = given.time_s[rows], given.pose[rows]
+    return replace(given, time_s=time_s, pose=pose, pose_covariance=cover, time_ns=exact)
 
 
 def read_external(
@@ -258,17 +264,16 @@ def read_external(
         return replace(_read_folder(path, chosen), sha256=_hashes(own))
     if trace is not None:
         raise InputError(f"{path}: is no folder; --trace needs one, with landmarks.csv")
-    (time_s, pose, covariance, left_out), files = read_with_files(
-        path, None if times is None else Path(times)
-    )
-    if not len(pose):
+    trajectory, files = read_with_files(path, None if times is None else Path(times))
+    if not len(trajectory.pose):
         raise InputError(f"{path}: holds no poses")
     return ExternalEstimate(
-        time_s=time_s,
-        pose=pose,
-        pose_covariance=covariance,
+        time_s=trajectory.time_s,
+        pose=trajectory.pose,
+        pose_covariance=trajectory.covariance,
         sha256=_hashes(files),
-        left_out=left_out,
+        left_out=trajectory.left_out,
+        time_ns=trajectory.time_ns,
     )
 
 
@@ -300,7 +305,7 @@ def _hashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
-    time_s, pose = read_trajectory(path / "trajectory.tum")
+    time_s, pose, time_ns = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
     information: Information | None = None
@@ -328,6 +333,7 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         estimator=estimator,
         trace=None if trace is None else read_trace(trace),
         labels=labels,
+        time_ns=time_ns,
     )
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
-from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
@@ -51,10 +50,17 @@ from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome, Verdict
-from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
+from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
 from comparisons.estimates.reference import Reference
 from comparisons.faults.catalogue import is_setting
+from comparisons.fingerprints.clock import (
+    counts_as_file,
+    on_file_clock,
+    on_log_clock,
+    works_with_floats,
+    written_from_floats,
+)
 from comparisons.fingerprints.data_use import (
     LeftOut,
     SelectedMeasurements,
@@ -74,10 +80,11 @@ from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
-from comparisons.logs.stamps import at_instants, rounded, since_origin
-from comparisons.logs.transforms.clock import file_start, timed_by_floats
+from comparisons.logs.stamps import at_instants, rounded
+from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.known import Given, Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import (
     APART,
     EKF,
@@ -244,7 +251,7 @@ def check(
         found = job.integrated(found, ORDERS)
         found = _with_departure(job.explained(found) or job.moved_back(found) or found)
     instants_s = found.solution.prepared.timeline.instants_s()
-    if said := rounded(given.time_s, _by_its_clock(given.time_s, log, instants_s)):
+    if said := rounded(given.time_s, on_file_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
     return _qualified(replace(found, log=log))
 
@@ -286,26 +293,33 @@ class _Job:
     def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
 
-        One that counts as the log's file does, since 1970, has them as floats tell them, if it is
-        not equal by exact ones alone.
+        One that counts as the log's file does, since 1970, may have read these stamps as floats;
+        both are tried to the end only where the poses of a smoother do not tell.
         """
         stamped = [given.time_s] + ([given.trace.step_time_s] if given.trace is not None else [])
-        by_files = any(_by_the_files_clock(one, self.log) for one in stamped)
+        by_files = any(counts_as_file(one, self.log) for one in stamped)
         if isinstance(self.log.odometry, RelativePoses) or not by_files:
             return self, self.started(given)
         by_floats = replace(self, log=timed_by_floats(self.log))
-        first = by_floats.started(given)
-        exact = first if first.grade.value == "equal" else self.started(given)
-        if exact is first or exact.grade.value != "equal":
-            return by_floats, first
-        return self, exact
+        prepared = [prepare_solve(job.log, job.config) for job in (self, by_floats)]
+        floats = works_with_floats(given, *prepared)
+        jobs = [self, by_floats]
+        if floats or (floats is None and written_from_floats(given)):
+            jobs.reverse()
+        first = jobs[0].started(given)
+        if floats is None and given.may_be("smoothed") and first.grade.value != "equal":
+            second = jobs[1].started(given)
+            if second.grade.value == "equal":
+                return jobs[1], second
+        return jobs[0], first
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
-        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
-        given = _on_the_logs_clock(given, self.log, instants_s)
+        prepared = prepare_solve(self.log, self.config)
+        instants_s = prepared.timeline.instants_s()
+        given = on_log_clock(given, self.log, instants_s)
         placed = replace(given, time_s=at_instants(given.time_s, instants_s))
-        left_out = self._left_out(placed)
+        left_out = self._left_out(placed, prepared)
         if left_out is not None:
             other = replace(self, log=without(self.log, left_out.rows))
             return _saying(left_out.said(self.log), other._started(given, placed))
@@ -317,11 +331,14 @@ class _Job:
         found = integrations_by_steps(inside, self.own.prepared)
         return self._moving(given, found) if found else self._graded(given, self.own)
 
-    def _left_out(self, placed: ExternalEstimate) -> LeftOut | None:
+    def _left_out(
+        self, placed: ExternalEstimate, prepared: Prepared[SolveConfig]
+    ) -> LeftOut | None:
         """What the filter of a trace left out by a rule, if it is one of the log's labels."""
-        prepared = prepare_solve(self.log, self.config)
-        sound = placed.trace is not None and not placed.trace.unsound
-        if not (sound and prepared.labelled) or self.log.known_landmarks is not None:
+        file, count = placed.trace, len(self.log.measurements.landmark)
+        if file is None or file.unsound or not prepared.labelled:
+            return None
+        if self.log.known_landmarks is not None or file.measurements_used == count:
             return None
         return left_out_of(self.log, trace_run(placed, prepared)[0])
 
@@ -344,7 +361,7 @@ class _Job:
         log = replace(self.log, integration=integrations[0])
         again = self._graded(given, self.solver(log, self.config, self.progress))
         steps = " or ".join(in_words(one) for one in integrations)
-        said = f"the estimate's steps lead {steps}; so do those of references and smoother"
+        said = f"the estimate integrates steps {steps}; references and smoother do so, too"
         return _saying(said, again)
 
     def explained(self, first: ExternalCheck) -> ExternalCheck | None:
@@ -410,7 +427,7 @@ class _Job:
         found = self.explained(self.integrated(self.started(other), ORDERS))
         if found is None or found.grade.by is None:
             return None
-        near, then = found.grade.by, "what is left has the cause that follows"
+        near, then = found.grade.by, "the rest of the difference has the next cause"
         if found.outcome == "agree" and found.grade.value == "plausible":
             then = "the estimate is plausible beside the smoother"
         elif found.outcome == "agree":
@@ -429,34 +446,6 @@ def _selected(log: Log, found: ExternalCheck) -> Log:
 def _saying(remark: str, found: ExternalCheck) -> ExternalCheck:
     """Return a check with a remark before all others."""
     return replace(found, remarks=(remark, *found.remarks))
-
-
-def _by_the_files_clock(time_s: Array, log: Log) -> bool:
-    """Whether times (K,), in order, count as the log's file does, and not as the log's do."""
-    start_s = float(file_start(log))
-    begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
-    first_s, last_s = time_s[[0, -1]] - start_s
-    return start_s > end_s and first_s <= end_s and last_s >= begin_s
-
-
-def _by_its_clock(time_s: Array, log: Log, instants_s: Array) -> Array:
-    """Return a log's instants as times (K,) in order count."""
-    return instants_s + float(file_start(log)) * _by_the_files_clock(time_s, log)
-
-
-def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
-    """Return an estimate whose times count as the log's, if they count as the log's file does.
-
-    A bag's stamps count from 1970, the log's times from the first of them. Trajectory and trace
-    may count differently: each is seen by its own times. instants_s: of the log.
-    """
-    start_s, time_s, trace = float(file_start(log)), given.time_s, given.trace
-    if _by_the_files_clock(time_s, log):
-        exact_s = at_instants(time_s, _by_its_clock(time_s, log, instants_s))
-        time_s = since_origin(exact_s, start_s, instants_s)
-    if trace is not None and _by_the_files_clock(trace.step_time_s, log):
-        trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
-    return replace(given, time_s=time_s, trace=trace)
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:

@@ -22,7 +22,12 @@ from comparisons.checks.check import Answers
 from comparisons.checks.diagnosis.data_usage import DataFault, untimely
 from comparisons.checks.diagnosis.departure import Departure, departure_from, model_departure
 from comparisons.checks.diagnosis.known_model_errors import explain
-from comparisons.checks.diagnosis.model_differences import ModelDifference, model_differences
+from comparisons.checks.diagnosis.model_differences import (
+    ModelDifference,
+    model_differences,
+    sensor_differences,
+)
+from comparisons.checks.diagnosis.sensor_records import recorded_sensors
 from comparisons.checks.diagnosis.single_precision import (
     FACTOR,
     OPERATIONS,
@@ -32,6 +37,7 @@ from comparisons.checks.diagnosis.single_precision import (
     computed_in_single,
     replay,
     restored_traces,
+    turned_as_corrected,
 )
 from comparisons.checks.registry import OF_FILTER
 from comparisons.checks.verdict import Verdict, judge
@@ -57,12 +63,18 @@ from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.measurements import REJECTED
+from ekf_reference.core.trace import TraceArrays
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions
 
 _ROUNDED = 1e-9
 """Difference of a pose, relative to it or to one, that is rounding."""
 _RECORD = f"{HINT}; record a snapshot after each event and the faulty one is named"
+
+
+_SURE_TURN_RAD = 1.5
+"""Corrections that turn a heading by more may be of more than half a turn, as a wrong residual's
+are: how many turns a recorded heading is off then follows from the corrections."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,12 +340,20 @@ class SingleRecords(TraceRecords):
 def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]:
     """What storing explains of single relations, by relation and quantity."""
     found: dict[tuple[str, str], float] = {}
+
+    def at_least(relation: str, quantity: str, difference: float) -> None:
+        key = relation, quantity
+        found[key] = max(found.get(key, 0.0), FACTOR * difference)
+
     right = gaps.by_steps(gaps.recorded, run.trace)
+    kept = recorded_sensors(run.trace)
     for trace in restored_traces(run.trace):
         other = gaps.by_steps(recorded_system_of(replace(run, trace=trace)), trace)
         for one in model_differences(other, right, 0.0, gaps.initialised):
-            key = one.relation, one.quantity
-            found[key] = max(found.get(key, 0.0), FACTOR * one.largest)
+            at_least(one.relation, one.quantity, one.largest)
+        for kind, records in recorded_sensors(trace).items():
+            for quantity, _, difference, _ in sensor_differences(kind, records, kept[kind]):
+                at_least(kind, quantity, float(difference.max(initial=0.0)))
     return found
 
 
@@ -428,8 +448,11 @@ def _as_run(
                 + (" (--gps)" if what == "position" else "")
             )
     until = timeline.steps_until()
-    pose = last.pose[-1].copy()
-    pose[2] += 2.0 * np.pi * np.round((trace.arrived[-1, 2] - pose[2]) / (2.0 * np.pi))
+    pose, final = last.pose[-1].copy(), trace.arrived[-1]
+    if _largest_turn(trace) > _SURE_TURN_RAD:
+        with np.errstate(all="ignore"):  # a wrong filter may have broken down
+            trace, final = turned_as_corrected(trace, len(last.landmark))
+    pose[2] += 2.0 * np.pi * np.round((final[2] - pose[2]) / (2.0 * np.pi))
     departed = np.vstack((trace.departed, pose))[until]
     arrived = np.vstack((trace.prior_pose, trace.arrived))[until]
     landmark_index = np.full(len(timeline.measurement_epoch), REJECTED, dtype=np.intp)
@@ -492,6 +515,15 @@ def _at_points(run: EkfRun) -> EkfRun:
         return run
     seen = replace(used, innovation=residuals_at_points(run))
     return replace(run, trace=replace(trace, measurements={**trace.measurements, POINT: seen}))
+
+
+def _largest_turn(trace: TraceArrays) -> float:
+    """By how much [rad] corrections at one instant turn a heading, if by less than half a turn."""
+    reached = np.concatenate((trace.prior_pose[2:], trace.arrived[:, 2]))
+    every = trace.measurements[POINT], trace.initialisations[POINT], trace.positions
+    used = (records.pose[:, 2] - reached[records.step] for records in every)
+    turns = np.concatenate((trace.departed[:, 2] - reached[:-1], *used))
+    return float(np.abs(turns).max())
 
 
 def _covariances(given: ExternalEstimate, time_s: Array) -> Array:

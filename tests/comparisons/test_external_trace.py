@@ -469,6 +469,12 @@ P, EYE, HALF = np.eye(3), np.eye(2), np.eye(2, 3)
 AT: dict[str, Any] = {"point": np.zeros(3), "numbers": 0}
 
 
+def copied_landmark(record: Recorder) -> None:
+    """Two landmarks, an update of both, and a copy of one."""
+    pair(record, np.eye(4, 7, 3), np.eye(4))
+    record.clone("landmark 1", "copy")
+
+
 def pair(record: Recorder, h: Array, r: Array) -> None:
     """Two landmarks, and an update of both."""
     for name in ("landmark 1", "landmark 2"):
@@ -493,7 +499,7 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
     ),
     "odd": (lambda r: r.update("x", P[0], P, P, **AT), "event 1: has a residual that is not of"),
     "clone": (
-        lambda r: (pair(r, np.eye(4, 7, 3), np.eye(4)), r.clone("landmark 1", "copy")),
+        copied_landmark,
         "event 4: copies 'landmark 1'; expected a copy of the pose",
     ),
     "pose removed": (lambda r: r.remove("pose"), "event 1: removes the pose"),
