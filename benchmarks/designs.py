@@ -61,11 +61,10 @@ class Design:
     innovation squared. told: rejected measurements are recorded. delayed: a landmark is initialised
     by its first measurement at a clone of the pose, once there is a second. prune: landmarks with
     fewer measurements are removed, at the end or (forget_s) once they were not measured for so
-    long. prior: factor of the start's variances of
-    position. rounds: of the iterated update. single: float32.
-    two_inputs: on a log without stabilisation noise. vast: new landmarks have a large covariance, then are
-    updated. composed: one prediction from measurement to measurement. new_first: landmarks are
-    initialised before the others are updated.
+    long. prior: factor of the start's variances of position. rounds: of the iterated update.
+    single: float32. two_inputs: on a log without stabilisation noise. vast: new landmarks have a
+    large covariance, then are updated. composed: one prediction from measurement to measurement.
+    new_first: landmarks are initialised before the others are updated.
     """
 
     update: Literal["joint", "landmark", "scalar", "entries"] = "joint"
