@@ -498,7 +498,7 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
     if found.trace is not None and not _of_settings(found.trace):
         return ""
     poses, *others = sound.parts
-    last = Part(poses.name, *(column[-1:] for column in poses[1:4]))
+    last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
     if not all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in (last, *others)):
         return ""
     ends = replace(sound, parts=(last, *others))
