@@ -671,7 +671,8 @@ class AlgebraCheck:
             text = f"between events {first} and {last}, {cause.what}"
             return Finding(check, True, text, first, blocks=cause.blocks)
         sensor = event.sensor if isinstance(event, Update) else None
-        tail = ", as at later ones of its kind" if cause.repeated and not cause.sound else ""
+        later = f" here and at later {name_of(event).split()[0]}s"
+        tail = later if cause.repeated and not cause.sound else ""
         text = f"{name_of(event)}: {cause.what}{tail}"
         return Finding(
             check, not cause.sound, text, event.number, sensor=sensor, blocks=cause.blocks

@@ -413,9 +413,9 @@ class _Pass:
         for one in () if found is None else found.directions:
             if one.largest is not None:
                 text = (
-                    f"the filter has learnt {one.name} to {one.sigma:.3g} {one.unit}".rstrip()
-                    + f" from measurements that cannot tell it; most by {one.largest.sensor} at "
-                    f"event {one.largest.event}"
+                    f"the filter claims {one.name} to {one.sigma:.3g} {one.unit}".rstrip()
+                    + ", which no measurement observes; the largest single gain is with "
+                    f"{one.largest.sensor} at event {one.largest.event}"
                 )
                 finding = Finding("spurious", False, text, one.largest.event)
                 self.algebra.add(finding, one.name)

@@ -203,13 +203,13 @@ def families(event: Event) -> Iterator[KnownFault]:
                 yield KnownFault(text, event.blocks, _skipped, number=number, neutral=neutral)
     if isinstance(event, Update | Predict):
         yield KnownFault(
-            "the covariance was then multiplied by {}",
+            "the covariance was multiplied by {}",
             event.blocks,
             _skipped,
             number=lambda c: _then(partial(_rescaled, factor=c)),
         )
         yield KnownFault(
-            "{} was then added to the covariance's diagonal",
+            "{} was added to the covariance's diagonal",
             event.blocks,
             _skipped,
             number=lambda c: _then(partial(_rescaled, added=c)),

@@ -390,7 +390,7 @@ def _correction(
     elif np.abs(given - 2.0 * meant).max() <= near:
         text = f"corrects the estimate of {names} twice"
     else:
-        text = f"corrects the estimate of {names} by other than gain times residual"
+        text = f"applies a correction of {names} that is not gain x residual"
         return [Unlike(text, wrong, True, "other correction")]
     return [Unlike(text, wrong, True)]
 

@@ -182,8 +182,8 @@ class CheckDirections(EventCheck):
     """What has the filter learnt of directions that its sensors cannot tell?"""
 
     name = "spurious"
-    needs = "directions, with the sensors that are blind to them"
-    errs = "it names what it finds, and condemns nothing"
+    needs = "directions, with the sensors that do not observe them"
+    errs = "not at all: what it finds changes no verdict"
     figures = (("spurious", LearntDirection),)
 
     def find(self, known: KnownEvents) -> EventFinding | Absent:
@@ -197,13 +197,13 @@ class CheckDirections(EventCheck):
             if one.largest is not None
         }
         rows = [
-            Row("Spurious information", f"{one.name}, seems known to", sigma.get(one.name, "none"))
+            Row("Spurious information", f"{one.name}, claimed to", sigma.get(one.name, "none"))
             for one in audit.spurious
         ]
-        said = f"nothing learnt of {', '.join(one.name for one in audit.spurious)}"
+        said = f"no information on {', '.join(one.name for one in audit.spurious)}"
         if sigma:
             learnt = ", ".join(f"{name} to {word}" for name, word in sigma.items())
-            said = f"learnt from measurements that cannot tell it: {learnt}"
+            said = f"claimed, though no measurement observes it: {learnt}"
         return EventFinding(audit, rows, ("spurious", said))
 
 

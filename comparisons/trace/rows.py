@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array, Mask
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, quoted
 from comparisons.trace.batch import COLUMNS, KINDS, Batch
 from comparisons.trace.events import (
     ADDITIVE,
@@ -149,9 +149,9 @@ class EventReader:
             self._refuse(number, f"stands after event {self.at}, expected {self.at + 1}")
         make = self._make.get(kind)
         if make is None:
-            self._refuse(number, f"kind {shown(kind)}, expected one of {', '.join(self._make)}")
+            self._refuse(number, f"kind {quoted(kind)}, expected one of {', '.join(self._make)}")
         if time_s is not None and not (isinstance(time_s, float) and math.isfinite(time_s)):
-            self._refuse(number, f"time_s {shown(time_s)}, expected a number of seconds")
+            self._refuse(number, f"time_s {quoted(time_s)}, expected a number of seconds")
         if not self._dims and kind != "prior":
             self._refuse(number, f"is a {kind}, expected the prior first")
         event = make(row)
@@ -183,9 +183,9 @@ class EventReader:
     def _update(self, row: Row) -> Update:
         n = self._on(row)
         if not isinstance(row.text, str):
-            self._refuse(row.number, f"sensor {shown(row.text)}, expected a name")
+            self._refuse(row.number, f"sensor {quoted(row.text)}, expected a name")
         if row.used not in (0, 1):
-            self._refuse(row.number, f"used is {shown(row.used)}, expected 0 or 1")
+            self._refuse(row.number, f"used is {quoted(row.used)}, expected 0 or 1")
         residual = self._flat(row, 0)
         m = len(residual)
         if not m:
@@ -269,7 +269,7 @@ class EventReader:
         if found is None:
             for name in blocks:
                 if name not in self._dims:
-                    fault = f"block {shown(name)} is not in the state at that time"
+                    fault = f"block {quoted(name)} is not in the state at that time"
                     self._refuse(row.number, fault)
             if len(self._named) == _MOST_NAMED:
                 self._named.clear()
@@ -279,7 +279,7 @@ class EventReader:
     def _new(self, row: Row) -> tuple[str, int, str]:
         """Name, dimension and chart of a block that begins."""
         if not is_block(row.text):
-            fault = f"text {shown(row.text)}, expected a name, a dimension and a chart"
+            fault = f"text {quoted(row.text)}, expected a name, a dimension and a chart"
             self._refuse(row.number, fault)
         name, dim, chart = row.text
         return self._unused(row.number, name), dim, chart
@@ -288,7 +288,7 @@ class EventReader:
         if not isinstance(name, str):
             self._refuse(number, "the new block's name is not a text")
         if name in self._dims:
-            self._refuse(number, f"new block {shown(name)} is in the state already")
+            self._refuse(number, f"new block {quoted(name)} is in the state already")
         return name
 
     def _changed(self, number: int) -> None:
@@ -378,7 +378,7 @@ class EventReader:
         return np.concatenate([np.zeros(0), *(self._sigma[name] for name in blocks[index])])
 
     def _refuse(self, number: Any, fault: str) -> NoReturn:
-        raise InputError(f"{self._path}, event {shown(number)}: {fault}")
+        raise InputError(f"{self._path}, event {quoted(number)}: {fault}")
 
 
 def _faults(
@@ -489,9 +489,3 @@ def _counts(found: Any) -> bool:
 
 def _all_charts(found: Any) -> bool:
     return isinstance(found, list) and all(isinstance(one, str) and one in CHARTS for one in found)
-
-
-def shown(value: Any) -> str:
-    """A value of a file, short and on one line."""
-    short = value[:40] if isinstance(value, str | bytes | list) else value
-    return printable(repr(short)[:60])
