@@ -81,9 +81,10 @@ _SLIGHT = 1e-3
 """Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
-_VANISHED, _BESIDE = 1e-13, 1e-7
-"""Of the variance before an update, as what is left by one that tells all, and as the unit in which
-that is measured: below it is rounding."""
+_ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-7
+"""Of the variance before an update: what is left by one that tells nearly all; of what cancels in
+it, what is left by one that tells all, and the unit in which that is measured, for it is rounding.
+"""
 _UNTOLD = "and the covariance is compared with nothing: record the gains"
 _OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
@@ -200,7 +201,7 @@ class AlgebraCheck:
         self._carry_rounding(event)
         fused = self.replay.apply(event)
         if fused is not None:
-            self._note_known(before)
+            self._note_known(before, fused)
         if not self.known:
             return None
         if isinstance(event, Update) and event.used and fused is not None:
@@ -353,13 +354,17 @@ class AlgebraCheck:
         if whole or self._start is not None:
             self._restart(recorded if whole else None)
 
-    def _note_known(self, before: Array) -> None:
+    def _note_known(self, before: Array, fused: Fused) -> None:
         """Note entries of which an update leaves nothing but rounding. before: P before it."""
         was, now = before.diagonal(), self.replay.covariance.diagonal()
-        known = now <= _VANISHED * was
-        if known.any():
-            old = np.zeros(len(was)) if self._rounding is None else self._rounding
-            self._rounding = np.where(known, np.maximum(_BESIDE * was, old), old)
+        if not (now <= _ALL_BUT * was).any():
+            return
+        # What cancels in P - K S K^T is as large as this, more than P where K is.
+        spread = np.sqrt(np.maximum(fused.spread.diagonal(), 0.0))
+        size = np.maximum(was, (np.abs(fused.gain) @ spread) ** 2)
+        known = now <= _VANISHED * size
+        old = np.zeros(len(was)) if self._rounding is None else self._rounding
+        self._rounding = np.where(known, np.maximum(_BESIDE * size, old), old)
 
     def _carry_rounding(self, event: Event) -> None:
         """Carry on what is rounding to where an event leads it."""
