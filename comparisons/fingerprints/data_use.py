@@ -209,20 +209,24 @@ class _Gated:
 
 
 class _Try(NamedTuple):
-    """A filter with a rule. near: beside the estimate, None where the run was given up."""
+    """A filter with a rule. near: beside the estimate, None where the run was given up.
+
+    equal_s, reached_s: the last time at which it was equal to rounding, and still near.
+    """
 
     order: str
     first: int
     gate: float
+    equal_s: float
     reached_s: float
     near: Likeness | None
     rejected: set[bytes]
 
     @property
-    def rank(self) -> tuple[bool, bool, float]:
+    def rank(self) -> tuple[bool, bool, float, float]:
         """The nearer, the larger."""
         grade = None if self.near is None else self.near.grade
-        return grade == "equal", grade is not None, self.reached_s
+        return grade == "equal", grade is not None, self.equal_s, self.reached_s
 
 
 def find_left_out(
@@ -306,4 +310,4 @@ class _Search:
                 near = likeness(given, found, labelled=True)
         except Left:
             pass
-        return _Try(order, first, gate, beside.reached_s, near, rejected)
+        return _Try(order, first, gate, beside.last_s, beside.reached_s, near, rejected)

@@ -502,7 +502,10 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
         copied_landmark,
         "event 4: copies 'landmark 1'; expected a copy of the pose",
     ),
-    "pose removed": (lambda r: r.remove("pose"), "event 1: removes the pose"),
+    "pose removed": (
+        lambda r: (pair(r, np.eye(4, 7, 3), np.eye(4)), r.remove("pose")),
+        "event 4: removes the pose",
+    ),
     "three entries": (
         lambda r: pair(r, np.eye(3, 7, 3), np.eye(3)),
         "event 3: has a residual that is not of two entries for each measurement; expected so, or",
