@@ -169,7 +169,8 @@ def audit(path: str | Path, tolerance: float = ROUNDING, progress: Progress | No
     if not 0.0 <= tolerance < math.inf:
         raise InputError(f"tolerance is {tolerance}, expected a finite number of 0 or more")
     trace = Trace(Path(path))
-    return _Pass(trace, tolerance).run(progress or (lambda stage, done, of: None))
+    with np.errstate(all="ignore"):  # a filter that has broken down may overflow anything
+        return _Pass(trace, tolerance).run(progress or (lambda stage, done, of: None))
 
 
 class _Pass:

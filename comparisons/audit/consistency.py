@@ -225,6 +225,8 @@ class Anchors:
                 link.mean_then + link.gain @ (smoothed.mean - link.mean_now),
                 link.covariance + link.gain @ smoothed.covariance @ link.gain.T,
             )
+            if not (np.isfinite(smoothed.mean).all() and np.isfinite(smoothed.covariance).all()):
+                return Smoothed(None, None)
             value, clear, _ = normalised_difference(
                 (filtered.mean - smoothed.mean)[None],
                 filtered.covariance[None],

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, quoted
@@ -273,13 +274,15 @@ class _Reading:
     def _landmarks(self, event: events.Update, count: int) -> dict[int, int]:
         """Which landmark each row is of: the one that its measurement's rows have columns of."""
         groups = self._groups(event)
-        parts = event.jacobian[:, _POSE:].reshape(len(event.residual), count, _POINT).any(axis=2)
+        parts: NDArray[np.bool_] = np.any(
+            event.jacobian[:, _POSE:].reshape(len(event.residual), count, _POINT), axis=2
+        )
         found = dict[int, int]()
         for k, rows in enumerate(groups):
             touched = parts[rows].any(axis=0)
             landmark = 0 if count == 1 else int(touched.argmax())
             if count > 1 and touched.sum() != 1:
-                if len(groups) != count:
+                if len(groups) != count or (len(rows) == 1 and touched.any()):
                     self._refuse(event, "has a measurement that is not of one landmark")
                 landmark = k
             found |= dict.fromkeys(rows, landmark)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
-from comparisons.errors import InputError, quoted
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     FILES,
@@ -33,6 +33,16 @@ from ekf_reference.core.layout import Layout
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 Estimator = Literal["ekf", "smoother", "other"]
+
+_NAMED = 4
+"""Landmarks that a sentence names."""
+
+
+class Removed(NamedTuple):
+    """Landmarks that a filter has removed from its map, by id (D,), and in words."""
+
+    landmark_id: tuple[int, ...]
+    words: str
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -74,6 +84,7 @@ class ExternalEstimate(Brief):
     left_out: str = ""
     labels: Mapping[int, str] = field(default_factory=dict)
     time_ns: Nanoseconds | None = None
+    removed: Removed | None = None
 
     def numbered_as(self, labels: Mapping[int, str]) -> ExternalEstimate:
         """Return it with the ids that a log has for its landmarks, in the map and in the trace.
@@ -99,11 +110,15 @@ class ExternalEstimate(Brief):
                 "use the numbers of the log's measurements.csv"
             )
         names = LandmarkNames(labels, words if self.labels else ids)
+        trace = None if self.trace is None else self.trace.placed(names)
+        gone = [] if trace is None else sorted(set(trace.removed_id) - set(names.numbers))
+        said = f"which its filter removed, {_listed([labels.get(n, str(n)) for n in gone])}"
         return replace(
             self,
             landmark_id=np.array(names.numbers, dtype=np.int64),
             labels=dict(zip(names.numbers, words, strict=True)) if names.are_labels else {},
-            trace=None if self.trace is None else self.trace.placed(names),
+            trace=trace,
+            removed=Removed(tuple(gone), said) if gone else self.removed,
         )
 
     @classmethod
@@ -260,6 +275,12 @@ def read_external(
         left_out=trajectory.left_out,
         time_ns=trajectory.time_ns,
     )
+
+
+def _listed(names: list[str]) -> str:
+    """Return the first of some names, and how many there are."""
+    more = f", ... ({len(names)} in all)" if len(names) > _NAMED else ""
+    return ", ".join(shorten(name) for name in names[:_NAMED]) + more
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Array:

@@ -122,9 +122,9 @@ def read_trace(path: Path) -> TraceFile:
     trace = Trace(path)
     planar = event_arrays(trace)
     unsound = ""
-    if trace.unsound:
-        event, what = min(trace.unsound.items())
-        others = len(trace.unsound) - 1
+    if faults := trace.unsound | trace.singular:  # its equations have an inverse of every R
+        event, what = min(faults.items())
+        others = len(faults) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
     return _checked(path, planar, trace.remarks, unsound)
 

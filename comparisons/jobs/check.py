@@ -51,6 +51,14 @@ from comparisons.fingerprints.clock import (
     works_with_floats,
     written_from_floats,
 )
+from comparisons.fingerprints.data_use import (
+    LeftOut,
+    SelectedMeasurements,
+    find_left_out,
+    left_out_of,
+    with_removed,
+    without,
+)
 from comparisons.fingerprints.estimate_motion import (
     in_words,
     integrations_by_steps,
@@ -118,6 +126,8 @@ class ExternalCheck(Shown):
         agreement: The estimate against the smoother.
         coverage: Share of the log's time that it covers.
         trace: The filter's own gaps, where it handed in a trace.
+        consequences: Kinds of causes that the first one explains, as was computed: the reference
+            filter with this fault equals the estimate.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
         log: As it was read, where the solution's has other integration or times.
@@ -146,6 +156,7 @@ class ExternalCheck(Shown):
     qualifiers: tuple[str, ...] = ()
     inconsistent: tuple[str, ...] | None = None
     departure: Departure | None = None
+    consequences: tuple[str, ...] = ()
     log: Log | None = None
 
     def __repr__(self) -> str:
@@ -222,8 +233,9 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
-    given = given.numbered_as(log.labels)
+    given = with_removed(given.numbered_as(log.labels), log)
     job, found = job.clocked(given)
+    job = replace(job, log=_selected(job.log, found))
     unsound = given.trace is not None and given.trace.unsound
     if not (found.exact or unsound or len(found.inside.time_s) < FEWEST):
         progress("motion models", 0, 0)
@@ -294,13 +306,28 @@ class _Job:
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
-        prepared = self.own.prepared
-        instants_s = prepared.timeline.instants_s()
+        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
         given = on_log_clock(given, self.log, instants_s)
         placed = replace(given, time_s=at_instants(given.time_s, instants_s))
+        left_out = self._left_out(placed)
+        if left_out is not None:
+            other = replace(self, log=without(self.log, left_out.rows))
+            return _saying(left_out.said(self.log), other._started(given, placed))
+        return self._started(given, placed)
+
+    def _started(self, given: ExternalEstimate, placed: ExternalEstimate) -> ExternalCheck:
+        """The same once what is left out is. placed: at the log's instants."""
         inside = with_poses(placed, within_log(placed, self.own.estimate))
-        found = integrations_by_steps(inside, prepared)
+        found = integrations_by_steps(inside, self.own.prepared)
         return self._moving(given, found) if found else self._graded(given, self.own)
+
+    def _left_out(self, placed: ExternalEstimate) -> LeftOut | None:
+        """What the filter of a trace left out by a rule, if it is one of the log's labels."""
+        prepared = prepare_solve(self.log, self.config)
+        sound = placed.trace is not None and not placed.trace.unsound
+        if not (sound and prepared.labelled) or self.log.known_landmarks is not None:
+            return None
+        return left_out_of(self.log, trace_run(placed, prepared)[0])
 
     def _graded(self, given: ExternalEstimate, solution: Solution) -> ExternalCheck:
         require, least = self.config.require, self.config.min_coverage
@@ -322,17 +349,40 @@ class _Job:
         again = self._graded(given, self.solver(log, self.config, self.progress))
         steps = " or ".join(in_words(one) for one in integrations)
         said = f"the estimate integrates steps {steps}; references and smoother do so, too"
-        return replace(again, remarks=(said, *again.remarks))
+        return _saying(said, again)
 
     def explained(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same once a fault reproduces the estimate, or it is sound; None where neither is."""
         if first.outcome == "agree":
             return first
-        found = _of_sigma_points(first) or _named(first, self.progress) or _within_spread(first)
+        found = self.selected(first)
+        found = (
+            found
+            or _of_sigma_points(first)
+            or _named(first, self.progress)
+            or _within_spread(first)
+        )
         if found is None and first.variants:
             other = self.integrated(first, FILTERS)
             found = other if other.outcome == "agree" else _within_spread(other)
         return found
+
+    def selected(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same beside references that leave out what its filter seems to, if it is like one.
+
+        None where a trace says what its filter used, or labels do not say of what they are.
+        """
+        prepared = first.solution.prepared
+        known = prepared.labelled and prepared.log.known_landmarks is None
+        if first.trace is not None or not known or not first.peers or first.peers[0].smoothed:
+            return None
+        sound = likeness(first.inside, first.peers[0], labelled=True)
+        left_out = find_left_out(first.inside, prepared, sound)
+        if left_out is None:
+            return None
+        log = without(prepared.log, left_out.rows)
+        again = self._graded(first.given, self.solver(log, self.config, self.progress))
+        return _saying(left_out.said(self.log), again) if again.outcome == "agree" else None
 
     def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same where the estimate is explained once a motion of all of it is undone.
@@ -370,6 +420,17 @@ class _Job:
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
 
 
+def _selected(log: Log, found: ExternalCheck) -> Log:
+    """Return the log that a check was made by, without what the estimate's filter left out."""
+    seen = found.solution.log.measurements
+    return replace(log, measurements=seen) if isinstance(seen, SelectedMeasurements) else log
+
+
+def _saying(remark: str, found: ExternalCheck) -> ExternalCheck:
+    """Return a check with a remark before all others."""
+    return replace(found, remarks=(remark, *found.remarks))
+
+
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
     """Say where it first leaves what a sound filter of its kind does."""
     prepared, inside = found.solution.prepared, found.inside
@@ -401,10 +462,12 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
     known = fingerprints(inside, prepared, sound, progress, several=several)
     if not known:
         return None
-    others = found.causes
+    others, follow = found.causes, tuple[str, ...]()
     if known[0].exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
-    return replace(found, causes=(fault_cause(known, sound), *others))
+    if known[0].whole:  # the same poses, landmarks and covariances, so all that differs from sound
+        follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
+    return replace(found, causes=(fault_cause(known, sound), *others), consequences=follow)
 
 
 def _filter_like(found: ExternalCheck) -> Likeness | None:
@@ -793,6 +856,8 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
             remarks.append(
                 "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"
             )
+    if given.removed is not None:
+        remarks.append(f"landmarks of the log that the map lacks: {given.removed.words}")
     if found.unmatched:
         remarks.append(f"{found.unmatched} landmarks of the estimate are not in the smoother's map")
     return remarks

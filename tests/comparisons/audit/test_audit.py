@@ -710,7 +710,7 @@ UNSOUND: dict[str, tuple[Callable[[Array], Array], list[str]]] = {
     "asymmetric": (unset, ["update 11 of sensor `gps`: noise (R) is not symmetric; and 2 more"]),
     "negative": (
         lambda r: r - 2.0 * np.eye(2),
-        ["update 11 of sensor `gps`: noise (R) is not positive definite; and 2 more"],
+        ["update 11 of sensor `gps`: noise (R) has a negative eigenvalue; and 2 more"],
     ),
     "not a number": (
         lambda r: r * np.nan,
