@@ -140,6 +140,8 @@ class ExternalCheck(Shown):
         agreement: The estimate against the smoother.
         coverage: Share of the log's time that it covers.
         trace: The filter's own gaps, where it handed in a trace.
+        consequences: Kinds of causes that the first one explains, as was computed: the reference
+            filter with this fault equals the estimate.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
         log: As it was read, where the solution's has other integration or times.
@@ -168,6 +170,7 @@ class ExternalCheck(Shown):
     qualifiers: tuple[str, ...] = ()
     inconsistent: tuple[str, ...] | None = None
     departure: Departure | None = None
+    consequences: tuple[str, ...] = ()
     log: Log | None = None
 
     def __repr__(self) -> str:
@@ -500,10 +503,12 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         return None
     if said := _without_effect(known[0], sound, found):
         return _sound(_saying(said, found), sound, "like")
-    others = found.causes
+    others, follow = found.causes, tuple[str, ...]()
     if known[0].exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
-    return replace(found, causes=(fault_cause(known, sound), *others))
+    if known[0].whole:  # the same poses, landmarks and covariances, so all that differs from sound
+        follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
+    return replace(found, causes=(fault_cause(known, sound), *others), consequences=follow)
 
 
 def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -> str:
@@ -517,7 +522,7 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
     if found.trace is not None and not _of_settings(found.trace):
         return ""
     poses, *others = sound.parts
-    last = Part(poses.name, *(column[-1:] for column in poses[1:4]))
+    last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
     if not all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in (last, *others)):
         return ""
     ends = replace(sound, parts=(last, *others))
