@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, shorten
@@ -119,7 +120,7 @@ def _pose(message: Any) -> Any:
     return getattr(message.pose, "pose", message.pose)
 
 
-def _covariances(spreads: list[Any], fresh: Array) -> tuple[Array | None, str]:
+def _covariances(spreads: list[Any], fresh: NDArray[np.bool_]) -> tuple[Array | None, str]:
     """Covariances (K, 3, 3) of the poses that are read, or why there are none."""
     if spreads[0] is None:
         return None, ""
