@@ -58,9 +58,9 @@ class Drive:
                     record.reject("gps", residual, H, R)
                     continue
                 for _ in range(times):
-                    more = {"weight": 1.0 / times} if parts else {}
+                    weight = 1.0 / times if parts else 1.0
                     r = R * times if parts else R
-                    made = (r, more, overshoot if gains else 1.0)
+                    made = (r, weight, overshoot if gains else 1.0)
                     error, p = self._fuse(record, "gps", error, p, noise, made)
         return audit(self.path)
 
@@ -71,13 +71,13 @@ class Drive:
         error: Array,
         p: Array,
         noise: Array,
-        made: tuple[Array, dict[str, float], float],
+        made: tuple[Array, float, float],
     ) -> tuple[Array, Array]:
-        r, more, factor = made
+        r, weight, factor = made
         residual = error + noise
         gain = factor * p @ np.linalg.inv(p + r)
         change = gain @ residual
-        record.update(sensor, residual, H, r, gain=gain, correction=change, **more)
+        record.update(sensor, residual, H, r, gain=gain, correction=change, weight=weight)
         keep = np.eye(2) - gain
         p = keep @ p @ keep.T + gain @ r @ gain.T
         record.snapshot(p)
