@@ -107,7 +107,7 @@ class TruthGap:
 
     @property
     def rough(self) -> bool:
-        """Far by its covariance only: the stated sigmas are too small, the estimate is good."""
+        """Far by its covariance only, and by less than one measurement errs."""
         return not self.stands and any(d.far for d in self.distances)
 
     @property
@@ -172,7 +172,7 @@ class CheckTruthGap(Check):
             len(smoothed.landmark),
         )
         if gap is not None and not scale_m:
-            return Absent("no landmark is measured, whose sigma tells which error is small")
+            return Absent("no landmark is measured, so that no sigma says which error is small")
         labelled = prepared.log.measurements.labelled and not prepared.labelled
         if labelled and not (gap and gap.settled):
             from comparisons.checks.truth_by_labels import labels_gap, with_labels
@@ -263,5 +263,5 @@ def _rough(gap: TruthGap) -> str:
     return (
         f"the RMS error of the smoother's {worst.what} is {worst.error_m:.2g} m: less than the "
         f"sigma of a single measurement ({gap.measurement_m:.2g} m), but {worst.sigma:.1f} times "
-        "what its covariance states, so the stated sigmas are too small"
+        "what its covariance states"
     )

@@ -157,8 +157,8 @@ def compare(
 
 
 def _print_changes(changes: Sequence[Change], found: Found) -> None:
-    """Print how much holds, then what is worse, with the verdict's causes, better or new."""
-    from comparisons.report.terminal import fit
+    """Print how much holds, if less than before the cause, then what is worse, better or new."""
+    from comparisons.report.terminal import deciding, fit
 
     counts, lines = {}, list[str]()
     for state in ("broken", "better", "new"):
@@ -166,13 +166,14 @@ def _print_changes(changes: Sequence[Change], found: Found) -> None:
         lines += [f"{state}: {change}" for change in some]
         if some:
             counts[state] = f"{len(some)} {state}"
-    if "broken" in counts:
-        lines += [f"cause: {one.gap}: {one.evidence}; {one.hint}" for one in found.causes]
+    listed = f"slamcheck {found.config['job']} -v lists them"
+    why = [line.text for line in deciding(found.causes, listed=listed) if "broken" in counts]
     outcome = "worse" if "broken" in counts else "not worse"
     holding = sum(change.state == "holds" for change in changes)
     parts = [f"{holding} of {len(changes)} figures hold", *counts.values()]
-    lines.insert(0, f"verdict: {outcome} than the baseline; {', '.join(parts)}")
-    text = "".join("\n".join(fit(line, after="  ")) + "\n" for line in lines)
+    verdict = fit(f"verdict: {outcome} than the baseline; {', '.join(parts)}", after="  ")
+    figures = [text for line in lines for text in fit(line, after="  ")]
+    text = "".join(f"{line}\n" for line in (*verdict, *why, *figures))
     print_text(lambda console: console.file.write(text))
 
 

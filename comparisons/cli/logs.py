@@ -40,14 +40,14 @@ def logs(log: str | None, **given: Any) -> None:
         test = found.test
         if found.lacks:
             typer.echo(f"not examined: {found.lacks}")
-        elif found.findings:
+        elif found.words:
             typer.echo(found.words)
             raise typer.Exit(1)
         else:
             fits = "fits its sigmas" if test.reading == "plausible" else f"is {test.reading}"
             typer.echo(
-                f"no fault found in units, signs, columns, clock or sigmas: chi-square {fits} "
-                f"({test.chi2:.4g} for {test.dof} degrees of freedom)"
+                f"no fault found in units, signs, columns, clock or sigmas: chi-square{found.part} "
+                f"{fits} ({test.chi2:.4g} for {test.dof} degrees of freedom)"
             )
 
 

@@ -15,6 +15,7 @@ from comparisons.logs.odometry_noise import pose_fault
 from comparisons.logs.readers import ros_bag
 from comparisons.logs.readers.ros_messages import frame, planar_pose, stamp_ns
 from comparisons.logs.readers.ros_points import PLANAR, slots_fault
+from comparisons.logs.stamps import Nanoseconds
 
 POSES = "geometry_msgs/msg/PoseWithCovarianceStamped"
 KINDS = (ros_bag.ODOMETRY, POSES, "geometry_msgs/msg/PoseStamped")
@@ -22,12 +23,12 @@ KINDS = (ros_bag.ODOMETRY, POSES, "geometry_msgs/msg/PoseStamped")
 
 
 class BagEstimate(NamedTuple):
-    """time_s: (K,) since 1970. pose: (K, 3), headings unwrapped. covariance: (K, 3, 3).
+    """time_ns: (K,) since 1970. pose: (K, 3), headings unwrapped. covariance: (K, 3, 3).
 
     source: topic, type and count. left_out: what was not read or is not used, and why.
     """
 
-    time_s: Array
+    time_ns: Nanoseconds
     pose: Array
     covariance: Array | None
     source: str
@@ -98,7 +99,7 @@ def read_bag_estimate(path: Path, topics: Sequence[str] = ()) -> BagEstimate:
     pose = np.array(poses)[fresh]
     pose[:, 2] = np.unwrap(pose[:, 2])
     source = f"{topic.name}, {topic.count} messages of {topic.kind}"
-    return BagEstimate(time_ns[fresh] / 1e9, pose, covariance, source, "; ".join(reported))
+    return BagEstimate(time_ns[fresh], pose, covariance, source, "; ".join(reported))
 
 
 def _topic(bag: ros_bag.Bag, path: Path) -> ros_bag.Topic:

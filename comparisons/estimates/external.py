@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
-from comparisons.errors import InputError, quoted
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     FILES,
@@ -27,12 +27,23 @@ from comparisons.estimates.landmark_names import LandmarkNames, is_whole
 from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.readers.ros_bag import recognise_bag
+from comparisons.logs.stamps import Nanoseconds
 from comparisons.logs.validation import LARGEST
 from comparisons.shown import Brief
 from ekf_reference.core.layout import Layout
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 Estimator = Literal["ekf", "smoother", "other"]
+
+_NAMED = 4
+"""Landmarks that a sentence names."""
+
+
+class Removed(NamedTuple):
+    """Landmarks that a filter has removed from its map, by id (D,), and in words."""
+
+    landmark_id: tuple[int, ...]
+    words: str
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -58,6 +69,9 @@ class ExternalEstimate(Brief):
             were.
         source: What it was read from, where its file holds several estimates.
         labels: Names of landmarks by id, as its file spells them; none where arrays have ids.
+        time_ns: (K,) the times exactly as its file has them, in whole nanoseconds; None where
+            `time_s` tells as much, as float64 does not of seconds since 1970.
+        removed: Landmarks that its filter has removed; None where nothing shows any.
     """
 
     time_s: Array
@@ -74,6 +88,8 @@ class ExternalEstimate(Brief):
     left_out: str = ""
     source: str = ""
     labels: Mapping[int, str] = field(default_factory=dict)
+    time_ns: Nanoseconds | None = None
+    removed: Removed | None = None
 
     def numbered_as(self, labels: Mapping[int, str]) -> ExternalEstimate:
         """Return it with the ids that a log has for its landmarks, in the map and in the trace.
@@ -99,11 +115,15 @@ class ExternalEstimate(Brief):
                 "use the numbers of the log's measurements.csv"
             )
         names = LandmarkNames(labels, words if self.labels else ids)
+        trace = None if self.trace is None else self.trace.placed(names)
+        gone = [] if trace is None else sorted(set(trace.removed_id) - set(names.numbers))
+        said = f"which its filter removed, {_listed([labels.get(n, str(n)) for n in gone])}"
         return replace(
             self,
             landmark_id=np.array(names.numbers, dtype=np.int64),
             labels=dict(zip(names.numbers, words, strict=True)) if names.are_labels else {},
-            trace=None if self.trace is None else self.trace.placed(names),
+            trace=trace,
+            removed=Removed(tuple(gone), said) if gone else self.removed,
         )
 
     @classmethod
@@ -216,7 +236,9 @@ class ExternalEstimate(Brief):
 def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
     """Return an estimate with some of its poses (K,) alone."""
     cover = None if given.pose_covariance is None else given.pose_covariance[rows]
-    return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
+    exact = None if given.time_ns is None else given.time_ns[rows]
+    time_s, pose = given.time_s[rows], given.pose[rows]
+    return replace(given, time_s=time_s, pose=pose, pose_covariance=cover, time_ns=exact)
 
 
 def read_external(
@@ -253,18 +275,23 @@ def read_external(
         return replace(_read_folder(path, chosen), sha256=_hashes(own))
     if trace is not None:
         raise InputError(f"{path}: is no folder; --trace needs one, with landmarks.csv")
-    (time_s, pose, covariance, left_out), files = read_with_files(
-        path, None if times is None else Path(times)
-    )
-    if not len(pose):
+    trajectory, files = read_with_files(path, None if times is None else Path(times))
+    if not len(trajectory.pose):
         raise InputError(f"{path}: holds no poses")
     return ExternalEstimate(
-        time_s=time_s,
-        pose=pose,
-        pose_covariance=covariance,
+        time_s=trajectory.time_s,
+        pose=trajectory.pose,
+        pose_covariance=trajectory.covariance,
         sha256=_hashes(files),
-        left_out=left_out,
+        left_out=trajectory.left_out,
+        time_ns=trajectory.time_ns,
     )
+
+
+def _listed(names: list[str]) -> str:
+    """Return the first of some names, and how many there are."""
+    more = f", ... ({len(names)} in all)" if len(names) > _NAMED else ""
+    return ", ".join(shorten(name) for name in names[:_NAMED]) + more
 
 
 def _read_bag(
@@ -277,7 +304,8 @@ def _read_bag(
             raise InputError(f"{path}: is a ROS bag, which {option} does not go with")
     found = read_bag_estimate(path, topics)
     return ExternalEstimate(
-        time_s=found.time_s,
+        time_s=found.time_ns / 1e9,
+        time_ns=found.time_ns,
         pose=found.pose,
         pose_covariance=found.covariance,
         sha256=_hashes(sorted(path.iterdir()) if path.is_dir() else [path]),
@@ -308,7 +336,7 @@ def _hashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
-    time_s, pose = read_trajectory(path / "trajectory.tum")
+    time_s, pose, time_ns = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
     information: Information | None = None
@@ -336,6 +364,7 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         estimator=estimator,
         trace=None if trace is None else read_trace(trace),
         labels=labels,
+        time_ns=time_ns,
     )
 
 

@@ -14,6 +14,9 @@ from comparisons.errors import shorten
 _WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)
 _LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})", re.ASCII | re.DOTALL)
 
+_NAMELESS = 1 << 52
+"""From here on there are numbers of blocks that end in no name."""
+
 
 class LandmarkNames:
     """Numbers of landmarks by what an estimate and its trace call them.
@@ -55,6 +58,17 @@ class LandmarkNames:
         ]
         readings = [[n if n in known else None for n in reading] for reading in readings]
         return min(readings if self.are_labels else readings[::-1], key=lambda r: r.count(None))
+
+    def of_removed(self, blocks: Sequence[str]) -> tuple[int, ...]:
+        """Return the numbers of landmarks that the estimate no longer holds, by their blocks.
+
+        A block that ends in no name has a number that no landmark has.
+        """
+        found: list[int] = []
+        for block in blocks:
+            number = self._label_at_end(block) if self.are_labels else _number_at_end(block)
+            found.append(_NAMELESS + len(found) if number is None else number)
+        return tuple(found)
 
     def _label_at_end(self, block: str) -> int | None:
         """The number of the longest label that ends a block and cuts no word or number in two."""

@@ -13,7 +13,7 @@ import numpy as np
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError, quoted
-from comparisons.estimates.event_arrays import COLUMNS, event_arrays
+from comparisons.estimates.event_arrays import COLUMNS, PlanarEvents, event_arrays
 from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
@@ -48,7 +48,9 @@ class TraceFile:
     unwrapped along the trace; `spread` and `whitened` are zero, for no gap needs them. rounding:
     what storing has done to the numbers, relative to them: 2^-24 where all are of single precision,
     else nothing.
-    remarks: on the file. unsound: which noise, or prior, is no covariance, in words.
+    remarks: on the file. unsound: which noise, or prior, is no covariance, in words. removed: which
+    blocks the filter has removed; once placed, their landmarks have the places behind the
+    estimate's list, and the numbers removed_id.
     """
 
     path: Path
@@ -58,11 +60,20 @@ class TraceFile:
     unsound: str = ""
     rounding: float = 0.0
     blocks: tuple[str, ...] = ()
+    removed: tuple[int, ...] = ()
+    removed_id: tuple[int, ...] = ()
 
     @property
     def former(self) -> bool:
         """It is of slamcheck 0.2, and has no events."""
         return self.path.suffix == Path(FORMER).suffix
+
+    @property
+    def measurements_used(self) -> int:
+        """How many measurements of the log it used, each counted once."""
+        uses = self.trace.measurements[POINT], self.trace.initialisations[POINT]
+        number = np.concatenate([one.number for one in uses])
+        return len(np.unique(number[number >= 0]))
 
     def placed(self, names: LandmarkNames) -> TraceFile:
         """Return the trace with the places of its blocks' landmarks in the estimate's list.
@@ -73,24 +84,28 @@ class TraceFile:
         if not self.blocks:
             return self
         place_of = {number: place for place, number in enumerate(names.numbers)}
-        numbers = names.of_blocks(self.blocks)
+        held = [k for k in range(len(self.blocks)) if k not in set(self.removed)]
+        numbers = names.of_blocks([self.blocks[k] for k in held])
         if None in numbers:
-            block = quoted(self.blocks[numbers.index(None)])
+            block = quoted(self.blocks[held[numbers.index(None)]])
             raise InputError(
                 f"{self.path}: block {block} must end in the number or label of a landmark in "
-                "landmarks.csv"
+                "landmarks.csv, or be recorded as removed"
             )
-        places = np.array([place_of[number] for number in numbers if number is not None])
-        times = np.bincount(
-            places[self.trace.initialisations[POINT].landmark_index], minlength=len(place_of)
-        )
+        places = np.empty(len(self.blocks), dtype=np.intp)
+        places[held] = [place_of[number] for number in numbers if number is not None]
+        places[list(self.removed)] = len(place_of) + np.arange(len(self.removed))
+        begun = places[self.trace.initialisations[POINT].landmark_index]
+        times = np.bincount(begun, minlength=len(place_of))[: len(place_of)]
         if (wrong := np.flatnonzero(times != 1)).size:
             name = names.called(int(wrong[0]))
             raise InputError(
                 f"{self.path}: landmark {name} is initialised {times[wrong[0]]} times, expected "
                 "once"
             )
-        return replace(self, blocks=(), trace=_at_places(self.trace, places))
+        removed_id = names.of_removed([self.blocks[k] for k in self.removed])
+        trace = _at_places(self.trace, places)
+        return replace(self, blocks=(), removed=(), removed_id=removed_id, trace=trace)
 
 
 def _at_places(trace: TraceArrays, places: Index) -> TraceArrays:
@@ -110,15 +125,15 @@ def read_trace(path: Path) -> TraceFile:
     if path.suffix == ".npz":
         outdated = (f"{path.name} {OUTDATED}",)
         arrays = _former_arrays(path)
-        return _checked(path, arrays, _former_blocks(arrays), outdated)
+        return _checked(path, PlanarEvents(arrays, _former_blocks(arrays)), outdated)
     trace = Trace(path)
-    arrays, blocks = event_arrays(trace)
+    planar = event_arrays(trace)
     unsound = ""
-    if trace.unsound:
-        event, what = min(trace.unsound.items())
-        others = len(trace.unsound) - 1
+    if faults := trace.unsound | trace.singular:  # its equations have an inverse of every R
+        event, what = min(faults.items())
+        others = len(faults) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
-    return _checked(path, arrays, blocks, trace.remarks, unsound)
+    return _checked(path, planar, trace.remarks, unsound)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -157,12 +172,12 @@ def _former_blocks(found: dict[str, Array]) -> tuple[str, ...]:
 
 def _checked(
     path: Path,
-    found: dict[str, Array],
-    blocks: tuple[str, ...],
+    planar: PlanarEvents,
     remarks: tuple[str, ...],
     unsound: str = "",
 ) -> TraceFile:
     """Return arrays as a trace, once their contents are checked. unsound: as known so far."""
+    found = planar.arrays
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found)
     unsound = unsound or _unsound(found, rounding)
@@ -197,7 +212,8 @@ def _checked(
         remarks=remarks,
         unsound=unsound,
         rounding=rounding,
-        blocks=blocks,
+        blocks=planar.blocks,
+        removed=planar.removed,
     )
 
 

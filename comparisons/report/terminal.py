@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import Console
 from rich.text import Text
 
+from comparisons.checks.causes import decides
 from comparisons.errors import printable
 from comparisons.words import Row, cause_name, facts
 
@@ -97,14 +98,16 @@ def deciding(
     *,
     explained: Sequence[str] = (),
     also: Sequence[str] = (),
+    listed: str = "-v lists them",
 ) -> list[Line]:
     """Return what decides an outcome, in few lines, and by name what else there is.
 
     Args:
-        causes: the first one is printed, with its hint.
+        causes: the first one is printed, with its hint, and those that only explain another.
         reasons: those that have room are printed.
         explained: names of what follows from the first cause.
         also: names of what does not, or may not.
+        listed: where all of it stands, in words.
     """
     lines, room, cut = list[Line](), 1 + DECIDING, False
     if causes:
@@ -116,18 +119,29 @@ def deciding(
         if lines and short:
             break
         lines, cut, printed = lines + block, cut or short, printed + 1
-    if causes:
-        lines += _hint(causes[0])
+    room -= len(lines)
+    others = list[str]()
+    for i, cause in enumerate(causes):
+        block = _indented(_words(cause)) if i else []
+        if len(block) > room or (i and decides(cause.gap) != "never"):
+            others.append(cause_name(cause.gap))
+            continue
+        lines, room = [*lines, *block, *_hint(cause)], room - len(block)
     left = len(reasons) - printed
     names = [
         *(["the rest of the evidence"] if cut else []),
-        *dict.fromkeys(cause_name(cause.gap) for cause in causes[1:]),
+        *dict.fromkeys(others),
         *([_count(left, "more finding")] if left else []),
         *also,
     ]
     more = [f"explained by it: {', '.join(explained)}"] if explained else []
     more += [f"also: {', '.join(names)}"] if names else []
-    return lines + (_indented(f"{'; '.join(more)}; -v lists them") if more else [])
+    return lines + (_indented(f"{'; '.join(more)}; {listed}") if more else [])
+
+
+def in_short(cause: Cause, lines: int = 3) -> str:
+    """Return a cause in one line, with the facts that would fit into so many of a terminal."""
+    return " ".join(line.text.strip() for line in _cut(_words(cause), lines)[0])
 
 
 def table(rows: Sequence[Row], width: int = WIDTH) -> Iterator[Line]:

@@ -286,3 +286,13 @@ def test_figures_stand_in_tables_as_they_are_declared() -> None:
         Row("Map", "landmarks: error", "0.250 m"),
         Row("Map", "landmarks: found", "2 of 3"),
     ]
+
+
+def test_what_explains_the_first_cause_stands_below_it_where_it_has_room() -> None:
+    noise = Cause(gap="noise", evidence="chi-square is too high", hint="check the sigma")
+    causes = [replace(CAUSE, gap="oracle", evidence="chi-square 8 above 5"), noise]
+    lines = [line.text for line in brief(Summary(headline="verdict: unverified", causes=causes))]
+    assert lines[3:] == ["  noise: chi-square is too high", "    hint: check the sigma"]
+    for other in (replace(noise, gap="optimum"), replace(noise, evidence=LONG)):
+        lines = [line.text for line in brief(Summary(headline="", causes=[causes[0], other]))]
+        assert lines[3:] == [f"  also: {other.gap}; -v lists them"]

@@ -53,7 +53,7 @@ def departure_from(
     """
     left = []
     for reference in sound:
-        time_s = _left_s(given, reference)
+        time_s = departed_s(given, reference)
         if time_s is None:
             return None
         left.append((time_s, reference.name))
@@ -101,8 +101,8 @@ def _departure(
     )
 
 
-def _left_s(given: ExternalEstimate, reference: Reference) -> float | None:
-    """When poses first differ from a reference's by more than rounding."""
+def departed_s(given: ExternalEstimate, reference: Reference) -> float | None:
+    """Return when poses first differ from a reference's by more than rounding; None for never."""
     reference = reference.at(given.time_s)
     given = with_poses(given, np.isin(given.time_s, reference.time_s))
     if not reference.known.any():

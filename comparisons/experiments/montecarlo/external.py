@@ -34,6 +34,7 @@ from ekf_reference.core.geometry import wrap_angle
 
 Estimator = Callable[[Log], Estimate | ExternalEstimate]
 TIMEOUT_S = 600.0
+_PLAIN = re.compile(r"""[^\s'"\\#]+""")
 _NAMED = re.compile(r"([a-z][a-z0-9_-]{0,19})=(.*)", re.DOTALL)
 _LEAST_SHARE = 0.95
 """Of the instants with measurements at which an estimate must have a pose."""
@@ -91,6 +92,11 @@ class Command:
                     "python my_ekf.py {log} {out}"
                 )
         return cls(words, timeout_s)
+
+    @property
+    def text(self) -> str:
+        """What is split into these words, quoted where it has to be."""
+        return " ".join(one if _PLAIN.fullmatch(one) else shlex.quote(one) for one in self.words)
 
     @property
     def sha256(self) -> str:
