@@ -9,6 +9,7 @@ share of the degrees of freedom.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -81,7 +82,7 @@ class Part(NamedTuple):
     @property
     def excess(self) -> float:
         """Chi-square above its expectation, in the sigma of chi-square."""
-        return (self.value - self.expected) / (2.0 * max(self.expected, 1.0)) ** 0.5
+        return (self.value - self.expected) / math.sqrt(2.0 * max(self.expected, 1.0))
 
 
 def rescaled(goodness: Goodness, component: str, factor: float) -> Goodness:

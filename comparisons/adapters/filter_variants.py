@@ -15,7 +15,8 @@ from scipy.linalg import block_diag
 from comparisons.arrays import Array, Index
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT, NewLandmarks
+from ekf_reference.core.landmark_types import KINDS, LandmarkKind, NewLandmarks
+from ekf_reference.core.layout import ABSENT
 from ekf_reference.core.measurement_update import Linearised
 from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Measurements
 from ekf_reference.core.state import Correction, KalmanState
@@ -63,6 +64,21 @@ NearestFirstEkf = in_order(lambda z, label: np.argsort(z[:, 0], kind="stable"))
 FarthestFirstEkf = in_order(lambda z, label: np.argsort(-z[:, 0], kind="stable"))
 
 
+class ScalarEkf(SequentialEkf):
+    """The EKF that updates by the entries of a measurement, one after the other."""
+
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        model = self.models[seen.kind]
+        for row in rows.tolist():
+            for entry in range(seen.kind.width):
+                local = self.state.map_of(landmark_indices[[row]], seen.kind)
+                expected, *parts = model.predict(local.pose, local.landmark)
+                innovation = model.innovation(seen.z[[row]], expected).ravel()
+                noise = seen.noise[row, entry, entry] * np.eye(1)
+                jacobian = stack(*parts)[[entry]]
+                self.state.update(local.columns, jacobian, innovation[[entry]], noise)
+
+
 class NewFirstEkf(Ekf):
     """The EKF that initialises new landmarks at the predicted pose, before it updates.
 
@@ -92,7 +108,7 @@ class NewFirstEkf(Ekf):
 
 
 class NewFirstSequentialEkf(NewFirstEkf):
-    """The same, updating by one landmark after the other."""
+    """The same, with sequential (one landmark at a time) updates."""
 
     def parts(self, rows: Index) -> Iterable[Index]:
         """Return each row alone."""
@@ -163,7 +179,7 @@ class FirstEstimatesEkf(Ekf):
         """As of Ekf."""
         super().__init__(*parts)
         self._predicted = self.state.pose
-        self._first = np.zeros((0, POINT.width))
+        self._first = {kind: np.zeros((0, kind.width)) for kind in KINDS}
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move, with F between predicted poses."""
@@ -178,12 +194,25 @@ class FirstEstimatesEkf(Ekf):
     def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         model = self.models[seen.kind]
         point = model.invert(self.state.pose, seen.z[rows]).landmark
-        self._first = np.vstack((self._first, point))
         _, by_pose, by_landmark = model.predict(self._predicted, point)
         by_z = np.asarray(np.linalg.inv(by_landmark), dtype=float)
         new = NewLandmarks(point, -by_z @ by_pose, by_z)
         number = self._count[seen.kind.name] + rows
         self._append(seen.kind, number, landmark_indices[rows], new, seen.noise[rows])
+
+    def _append(
+        self,
+        kind: LandmarkKind,
+        number: Index,
+        landmark_index: Index,
+        new: NewLandmarks,
+        noise: Array,
+        *,
+        weight: float = 1.0,
+    ) -> None:
+        """Append landmarks, surveyed ones among them; where they begin is their first estimate."""
+        self._first[kind] = np.vstack((self._first[kind], new.landmark))
+        super()._append(kind, number, landmark_index, new, noise, weight=weight)
 
     def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
@@ -193,7 +222,7 @@ class FirstEstimatesEkf(Ekf):
         def linearise() -> Linearised:
             local = self.state.map_of(landmark_index, seen.kind)
             expected = model.predict(local.pose, local.landmark).z
-            _, *parts = model.predict(self._predicted, self._first[landmark_index])
+            _, *parts = model.predict(self._predicted, self._first[seen.kind][landmark_index])
             innovation = model.innovation(seen.z[rows], expected).ravel()
             return Linearised(local, stack(*parts), innovation)
 
@@ -216,7 +245,7 @@ class InvariantState(KalmanState):
         done = super().update(columns, jacobian, innovation, noise)
         error = self.mean - before
         size, turn = len(before), float(error[2])
-        place = np.delete(np.arange(size), 2).reshape(-1, 2)
+        place = self._places()
         at, moved = _complex(before[place]), _complex(error[place])
         after, spin = self._carried(turn, at, moved - 1j * turn * at)
         self._mean[place[:, 0]], self._mean[place[:, 1]] = after.real, after.imag
@@ -229,6 +258,12 @@ class InvariantState(KalmanState):
         p = self._covariance[:size, :size]
         p[:] = change @ p @ change.T
         return done
+
+    def _places(self) -> Index:
+        """(k, 2) entries x and y of the pose and of landmarks; headings have additive errors."""
+        first = np.concatenate(([0], *self.layout.first.values()))
+        entries: Index = first[first != ABSENT][:, None] + np.arange(2)
+        return entries
 
     def _carried(
         self, turn: float, at: NDArray[np.complex128], own: NDArray[np.complex128]

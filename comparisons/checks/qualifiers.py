@@ -174,7 +174,7 @@ class CheckTruthGap(Check):
             len(smoothed.landmark),
         )
         if gap is not None and not scale_m:
-            return Absent("no landmark is measured, whose sigma tells which error is small")
+            return Absent("no landmark is measured, so that no sigma says which error is small")
         labelled = prepared.log.measurements.labelled and not prepared.labelled
         if labelled and not (gap and gap.settled):
             from comparisons.checks.truth_by_labels import labels_gap, with_labels

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.faults.fault import Done, Fault, Plant, after, derived, with_state
+from comparisons.faults.fault import Done, Fault, Plant, after, keeping
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import LandmarkKind, NewLandmarks
 from ekf_reference.core.layout import Layout
@@ -65,10 +64,6 @@ def new_landmarks_apart(variance: float | None = None) -> Plant:
     return after("augment", forget)
 
 
-def _updating(update: Callable[..., Correction]) -> Plant:
-    return with_state(derived(KalmanState, update=update))
-
-
 def _gain(p: Array, columns: Index, jacobian: Array, noise: Array) -> tuple[Array, Array]:
     """W (n, m), and I - W H (n, n)."""
     h = np.zeros((len(jacobian), len(p)))
@@ -96,7 +91,7 @@ def other_gain(factor: float) -> Plant:
         state._covariance[: len(p), : len(p)] = keep @ p @ keep.T + w @ noise @ w.T
         return done
 
-    return _updating(update)
+    return keeping(update=update)
 
 
 def _only_seen(own: Any, columns: Index, *args: Array) -> Correction:
@@ -121,7 +116,7 @@ FAULTS = {
     ),
     "F transposed": Fault(
         "F^T P F in the prediction",
-        with_state(derived(KalmanState, predict=lambda own, x, f, q: own(x, f.T, q))),
+        keeping(predict=lambda own, x, f, q: own(x, f.T, q)),
     ),
     "asymmetric covariance": Fault(
         "the prediction writes the upper cross-covariance only", after("predict", _lower_as_before)
@@ -137,13 +132,14 @@ FAULTS = {
         after("update", _independent_landmarks),
     ),
     "only seen landmarks updated": Fault(
-        "the gain is applied to the vehicle and the landmarks in view", _updating(_only_seen)
+        "the gain is applied to the vehicle and the landmarks in view", keeping(update=_only_seen)
     ),
     "innovation subtracted": Fault(
-        "x - W nu in the update", _updating(lambda own, columns, h, nu, r: own(columns, h, -nu, r))
+        "x - W nu in the update",
+        keeping(update=lambda own, columns, h, nu, r: own(columns, h, -nu, r)),
     ),
     "R left out of S": Fault(
         "S = H P H^T in the gain",
-        _updating(lambda own, columns, h, nu, r: own(columns, h, nu, 1e-6 * r)),
+        keeping(update=lambda own, columns, h, nu, r: own(columns, h, nu, 1e-6 * r)),
     ),
 }

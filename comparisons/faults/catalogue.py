@@ -29,6 +29,7 @@ NAMED = tuple(
 """Faults with a short name each, planted in the filter."""
 _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
+_LABELS = {"landmark initialised again", "labels exchanged", "gate of sigmas"}
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _VARIANCES = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 _STARTS = (0.0, 1e-12, 1e-10, 1e-9, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
@@ -47,9 +48,9 @@ _COLUMNS: dict[str, Callable[[float, float, float], models.Column]] = {
     "cosine and sine are exchanged": lambda e, n, t: (-e, n),
     "the x row has the opposite sign": lambda e, n, t: (n, e),
     "the y row has the opposite sign": lambda e, n, t: (-n, -e),
-    "the turn stands for the way in the x row": lambda e, n, t: (-n * t, e),
-    "the turn stands for the way in the y row": lambda e, n, t: (-n, e * t),
-    "the turn stands for the way": lambda e, n, t: (-n * t, e * t),
+    "the turn is used in place of the distance in the x row": lambda e, n, t: (-n * t, e),
+    "the turn is used in place of the distance in the y row": lambda e, n, t: (-n, e * t),
+    "the turn is used in place of the distance": lambda e, n, t: (-n * t, e * t),
 }
 """Errors in the heading's column of F."""
 _SIGNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
@@ -69,6 +70,8 @@ def catalogue(log: Log) -> Iterator[Fault]:
         skipped |= _STEERING
     if log.positions is None:
         skipped |= _POSITIONS
+    if not log.measurements.labelled:
+        skipped |= _LABELS
     yield from (one for one in NAMED if one.name not in skipped)
     yield Fault("Q is not rotated into the map's axes", moving(models.noise_in_body_axes))
     for of, row, entries in _SIGNS:
@@ -139,6 +142,15 @@ def own_start(log: Log, covariance: Array) -> Fault:
         if np.abs((covariance - other) / np.outer(sigma, sigma)).max() <= ROUNDING:
             what = named
     return Fault(what, feed=lambda log: _with_prior(log, covariance))
+
+
+def is_setting(what: str) -> bool:
+    """Return whether a fault is one of a filter's own settings: where it starts, and padding of Q.
+
+    Args:
+        what: The fault in words, as of this catalogue.
+    """
+    return what.startswith(("the prior's covariance", "the stabilisation noise"))
 
 
 def families(log: Log) -> Iterator[Family]:

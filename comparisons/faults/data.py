@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.faults.fault import Fault, Plant, moving, remembering, stepping
-from ekf_reference.association.known import KnownAssociation
+from ekf_reference.association.known import KnownAssociation, SurveyedLandmarks
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import POINT, MeasurementModel
-from ekf_reference.core.measurements import REJECTED, Association, Measurements
+from ekf_reference.core.measurements import REJECTED, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.motion import MotionStep
 
@@ -117,9 +117,17 @@ class _SwappedLabels(KnownAssociation):
         return found
 
 
-def _associating(association: Association) -> Plant:
+def _by_labels(rule: type[KnownAssociation], **settings: Any) -> Plant:
+    """Another rule by labels; that of surveyed landmarks stays."""
+
     def plant(ekf: Ekf) -> None:
-        ekf.association = association
+        sound = ekf.association
+        if isinstance(sound, SurveyedLandmarks):
+            first_index = len(sound.index_of)
+            labelled = rule(first_index=first_index, **settings)
+            ekf.association = replace(sound, rule=labelled)
+        else:
+            ekf.association = rule(**settings)
 
     return plant
 
@@ -167,14 +175,14 @@ FAULTS = {
     ),
     "landmark initialised again": Fault(
         "a landmark that returns into view becomes another one",
-        remembering(lambda: _associating(_InitialisedAgain())),
+        _by_labels(_InitialisedAgain),
     ),
     "labels exchanged": Fault(
         "two labels of every tenth scan are exchanged",
-        remembering(lambda: _associating(_SwappedLabels())),
+        _by_labels(_SwappedLabels),
     ),
     "gate of sigmas": Fault(
         f"the gate compares squared distances with {_GATE_SIGMA:g} sigma",
-        remembering(lambda: _associating(KnownAssociation(gate=_GATE_SIGMA))),
+        _by_labels(KnownAssociation, gate=_GATE_SIGMA),
     ),
 }

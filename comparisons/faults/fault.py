@@ -90,10 +90,22 @@ def derived(base: type[T], **methods: Method) -> type[T]:
 
 
 def with_state(state: Callable[[Array, Array], KalmanState]) -> Plant:
-    """Another keeper of mean and covariance."""
+    """Another keeper of mean and covariance, made of a pose and its covariance: of an empty map."""
 
     def plant(ekf: Ekf) -> None:
         ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
+
+    return plant
+
+
+def keeping(**methods: Method) -> Plant:
+    """Other methods of what keeps mean and covariance; what it keeps so far stays.
+
+    Of surveyed landmarks the map begins with these.
+    """
+
+    def plant(ekf: Ekf) -> None:
+        ekf.state.__class__ = derived(type(ekf.state), **methods)
 
     return plant
 
@@ -169,4 +181,4 @@ def after(method: str, change: Callable[..., None]) -> Plant:
         change(Done(state._covariance[:n, :n], before, state.layout), *args)
         return result
 
-    return with_state(derived(KalmanState, **{method: replaced}))
+    return keeping(**{method: replaced})

@@ -280,8 +280,8 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
     if pairs > MOST_PAIRS:
         return None, (
             f"the association is unchecked: {pairs / 1e6:.1f} million pairs of measurement and "
-            f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are many for the smoother's own; "
-            "ask for it with --smoother-association own"
+            f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are not tried "
+            "by default; --smoother-association own does"
         )
     return config_class(name).of().build(prepared.config), ""
 

@@ -192,12 +192,19 @@ class Gaps(Brief):
     ) -> tuple[ModelDifference, ...]:
         """Return where F1's and F2's equations differ by more than rounding, and storing."""
         from comparisons.checks.diagnosis.model_differences import model_differences
+        from comparisons.checks.diagnosis.sensor_records import sensor_pairs
 
         said, own = self.by_steps(self.recorded, self.run.trace), self.model
         if self._model_steps is not None:
             own = replace(own, motion=self._model_steps)
         return model_differences(
-            said, own, ROUNDING, self.initialised, stored or {}, self._events()
+            said,
+            own,
+            ROUNDING,
+            self.initialised,
+            stored or {},
+            self._events(),
+            sensor_pairs(self.log, self.run, self.model),
         )
 
     def _events(self) -> dict[str, Events]:

@@ -36,7 +36,7 @@ ALGEBRA = (
     "gain not transposed",
 )
 MODEL = {
-    "bearing Jacobian as printed": r"the innovation differs.*measurement updates",
+    "bearing Jacobian as printed": r"the Jacobian with respect to position differs.*updates",
     "innovation not wrapped": r"the innovation differs.*measurement updates",
     "sigma squared twice": r"the noise covariance differs.*measurement updates",
     "steering sign": r"the predicted pose differs.*predictions",

@@ -5,6 +5,10 @@ are solved for what they place: a measurement for its landmark, a step for the p
 What is compared is then the place, its Jacobian and its covariance, at the same linearisation
 points. Differences are relative to the smoother's figures: Jacobians to the largest entry of their
 columns, places to their sigma, covariances as generalised eigenvalues.
+
+A place mixes what was recorded: a wrong Jacobian by the landmark stands in its covariance, too.
+Where a relation differs, and one of its records is that of the log's sensor, they are in its units,
+and are compared as they were recorded.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from graphslam.linear_problem import (
     LinearPrior,
     LinearProblem,
     LinearRelations,
+    divided,
     whiten,
 )
 
@@ -41,6 +46,28 @@ class Events(NamedTuple):
 
 
 _UNTIMED: Mapping[str, Events] = {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorRecords:
+    """N records of a sensor in its own units, of range and bearing.
+
+    Of updates residual = jacobian_pose (x - pose) + jacobian_other (y - landmark) + v, of new
+    landmarks y = landmark + residual + jacobian_pose (x - pose) + jacobian_other v. residual:
+    (N, 2). jacobian_pose: (N, 2, 3). jacobian_other: (N, 2, 2). noise: (N, 2, 2) of v.
+    """
+
+    residual: Array
+    jacobian_pose: Array
+    jacobian_other: Array
+    noise: Array
+
+
+SensorPairs = Mapping[str, tuple[SensorRecords, SensorRecords]]
+"""Of each kind of relations what was recorded, and what the smoother's factors have there."""
+_NOT_OF_A_SENSOR: SensorPairs = {}
+_Differences = list[tuple[str, str, Array, NDArray[np.bool_]]]
+"""Quantity, unit, difference (N,), and whether the filter has zeros there (N,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,44 +127,49 @@ def model_differences(
     initialised: int = 0,
     stored: Mapping[tuple[str, str], float] = _EXACT,
     events: Mapping[str, Events] = _UNTIMED,
+    sensors: SensorPairs = _NOT_OF_A_SENSOR,
 ) -> tuple[ModelDifference, ...]:
     """What differs by more than the tolerance, the largest first; what is missing before that.
 
     stored: by relation and quantity, what storing the records explains besides.
 
     initialised: so many measurements, the last ones, initialise a landmark; they are a kind of
-    their own. events: of each kind of relations, where known.
+    their own. events, sensors: of each kind of relations, where known.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
-    measurements = {
-        kind: (_of_relations(_first(recorded.measurements[kind], len(seen.b))), _of_relations(seen))
-        for kind, seen in own.measurements.items()
-    }
-    positions = _of_positions(recorded.positions), _of_positions(own.positions)
+    measurements = {}
+    for kind, seen in own.measurements.items():
+        said, meant = _completed(_first(recorded.measurements[kind], len(seen.b)), seen)
+        measurements[kind] = _of_relations(said), _of_relations(meant)
+    fixes, own_fixes = _with_all_entries(recorded.positions, own.positions)
+    positions = _of_positions(fixes), _of_positions(own_fixes)
     merges = {
         kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
         for kind, merged in own.merges.items()
     }
-    said, meant = measurements[POINT]
-    uses = len(meant.place) - initialised
+    of_points, own_points = measurements[POINT]
+    uses = len(own_points.place) - initialised
     kinds = (
         (PREDICTIONS, "the predicted pose", *steps),
-        (UPDATES, "the innovation", said.rows(0, uses), meant.rows(0, uses)),
-        (INITIALISATIONS, "the innovation", said.rows(uses), meant.rows(uses)),
+        (UPDATES, "the innovation", of_points.rows(0, uses), own_points.rows(0, uses)),
+        (INITIALISATIONS, "the innovation", of_points.rows(uses), own_points.rows(uses)),
         (POSITIONS, "the innovation", *positions),
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
     found = _priors(recorded.prior, own.prior, tolerance)
-    for kind, place, said, meant in kinds:
-        for quantity, unit, difference, absent in _compare(place, said, meant):
-            off = ~(difference <= tolerance + stored.get((kind, quantity), 0.0))
+    for relation, place, have, want in kinds:
+        differences = _compare(place, have, want)
+        if relation in sensors:
+            differences = _as_recorded(relation, differences, *sensors[relation], tolerance, stored)
+        for quantity, unit, difference, absent in differences:
+            off = ~(difference <= tolerance + stored.get((relation, quantity), 0.0))
             if not off.any():
                 continue
-            first_s, number = _first_event(off, events.get(kind))
+            first_s, number = _first_event(off, events.get(relation))
             found.append(
                 ModelDifference(
-                    relation=kind,
+                    relation=relation,
                     quantity=quantity,
                     count=int(np.count_nonzero(off)),
                     total=len(off),
@@ -148,7 +180,7 @@ def model_differences(
                     number=number,
                 )
             )
-    return tuple(sorted(found, key=lambda d: (not d.absent, -d.weight)))
+    return tuple(sorted(found, key=lambda d: (not d.absent, -float(f"{d.weight:.6g}"))))
 
 
 def _first_event(off: NDArray[np.bool_], events: Events | None) -> tuple[float | None, int | None]:
@@ -181,13 +213,84 @@ def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[Mod
     ]
 
 
-def _compare(
-    place: str, said: _Places, meant: _Places
-) -> list[tuple[str, str, Array, NDArray[np.bool_]]]:
-    """Quantity, unit, difference (N,), and whether the filter has zeros there (N,)."""
+def _as_recorded(
+    kind: str,
+    by_place: _Differences,
+    said: SensorRecords,
+    meant: SensorRecords,
+    tolerance: float,
+    stored: Mapping[tuple[str, str], float],
+) -> _Differences:
+    """Return the differences of records where relations differ; those by place in other units."""
+    if not by_place:
+        return by_place
+
+    def off(differences: _Differences) -> Array:
+        limits = [tolerance + stored.get((kind, one[0]), 0.0) for one in differences]
+        each = zip(differences, limits, strict=True)
+        return np.array([~(difference <= limit) for (_, _, difference, _), limit in each])
+
+    relations, records = off(by_place).any(axis=0), sensor_differences(kind, said, meant)
+    deviating = off(records)[:, relations]
+    if deviating.all(axis=0).any() or not deviating.any(axis=0).all():
+        return by_place
+    return [
+        (quantity, unit, np.where(relations, difference, 0.0), absent)
+        for quantity, unit, difference, absent in records
+    ]
+
+
+def sensor_differences(kind: str, said: SensorRecords, meant: SensorRecords) -> _Differences:
+    """Return how records of a kind of relations differ from those of the smoother's factors."""
+    new = kind == INITIALISATIONS
+    other = "the Jacobian with respect to the " + ("measurement" if new else "landmark")
+    units = _sigma(meant)
+    found: _Differences = []
+    for name, have, want in (
+        ("the Jacobian with respect to position", *_columns(said, meant, slice(0, 2))),
+        ("the Jacobian with respect to heading", *_columns(said, meant, slice(2, 3))),
+        (other, said.jacobian_other, meant.jacobian_other),
+    ):
+        by_row, size = np.abs(have - want), np.abs(want)
+        if new:  # of G_z a column is of range or bearing, of H a row
+            unit = size.max(axis=1, keepdims=True)
+        else:
+            unit = size.max(axis=2, keepdims=True)
+            whole = (size / units[:, :, None]).max(axis=(1, 2), keepdims=True)
+            unit = np.where(unit > 0.0, unit, whole * units[:, :, None])
+        relative = (by_row / np.where(unit > 0.0, unit, 1.0)).max(axis=(1, 2))
+        found.append((name, "(relative)", relative, np.logical_not(have.any(axis=(1, 2)))))
+    nothing = np.zeros(len(units), dtype=bool)
+    apart = said.residual - meant.residual
+    if new:
+        root = meant.jacobian_other * units[:, None, :]
+        (apart,) = divided(root, apart)
+    else:
+        apart = apart / units
+    found.append(("the innovation", "sigma", np.abs(apart).max(axis=1), nothing))
+    (within,) = whiten(meant.noise, said.noise)
+    (within,) = whiten(meant.noise, within.transpose(0, 2, 1))
+    spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
+    found.append(("the noise covariance", "(relative)", spread, nothing))
+    return found
+
+
+def _columns(said: SensorRecords, meant: SensorRecords, part: slice) -> tuple[Array, Array]:
+    """Columns of the Jacobians by the pose."""
+    return said.jacobian_pose[:, :, part], meant.jacobian_pose[:, :, part]
+
+
+def _sigma(records: SensorRecords) -> Array:
+    """(N, 2) standard deviations of the entries."""
+    sigma: Array = np.sqrt(np.diagonal(records.noise, 0, 1, 2))
+    return sigma
+
+
+def _compare(place: str, said: _Places, meant: _Places) -> _Differences:
+    """What two kinds of places differ in."""
     if not len(said.place):
         return []
-    results: list[tuple[str, str, Array, NDArray[np.bool_]]] = []
+    results: _Differences = []
     for name, columns in zip(_PLACES, (slice(0, 2), slice(2, 3)), strict=True):
         have, want = said.jacobian[:, :, columns], meant.jacobian[:, :, columns]
         size = np.abs(want).max(axis=(1, 2))
@@ -212,6 +315,45 @@ def _of_relations(r: LinearRelations) -> _Places:
     place = (inverse @ r.b[..., None])[..., 0]
     root = _noisy(inverse, r.sigma)
     return _Places(place, jacobian, root @ root.transpose(0, 2, 1))
+
+
+def _completed(
+    said: LinearRelations, meant: LinearRelations
+) -> tuple[LinearRelations, LinearRelations]:
+    """Return relations where those of one entry of a measurement have another, the same in both.
+
+    It says, to a unit noise, where across the entry's own direction the landmark lies.
+    """
+    unused = ~(meant.a.any(axis=2) | meant.c.any(axis=2))
+    if not unused.any():
+        return said, meant
+    rows, entries = np.nonzero(unused)
+    across = meant.c[rows, 1 - entries, ::-1] * (1.0, -1.0)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+
+    def whole(r: LinearRelations) -> LinearRelations:
+        c = r.c.copy()
+        c[rows, entries] = across
+        return replace(r, c=c)
+
+    return whole(said), whole(meant)
+
+
+def _with_all_entries(
+    said: LinearPositions, meant: LinearPositions
+) -> tuple[LinearPositions, LinearPositions]:
+    """Return positions where those of one entry alone have the other, the same in both."""
+    unused = ~meant.a.any(axis=2)
+    if not unused.any():
+        return said, meant
+    rows, entries = np.nonzero(unused)
+
+    def whole(p: LinearPositions) -> LinearPositions:
+        a = p.a.copy()
+        a[rows, entries, entries] = 1.0
+        return replace(p, a=a)
+
+    return whole(said), whole(meant)
 
 
 def _noisy(inverse: Array, sigma: Array | None) -> Array:

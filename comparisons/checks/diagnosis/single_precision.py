@@ -139,38 +139,105 @@ class Replay:
 
 def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Replay:
     """Filter the recorded equations in a precision. until: (K,) steps made at each epoch."""
-    layout = Layout.packed(3, landmarks)
-    n = layout.size
-    x: Array = np.zeros(n, dtype)
-    p: Array = np.zeros((n, n), dtype)
-    x[:3], p[:3, :3] = trace.prior_pose, trace.prior_covariance
+    recursion = _Recursion(trace, landmarks, dtype)
     poses, spreads = [], []
-    batches = [records(trace) for records in _BATCHES]
-    next_row = [0, 0, 0]
-    step = 0
     for end in until.tolist():
-        while step < end:
-            f, q = trace.f[step].astype(dtype), trace.q[step].astype(dtype)
-            apart = x[:3] - trace.departed[step].astype(dtype)
-            x[:3] = trace.arrived[step].astype(dtype) + f @ apart
-            p[:3] = f @ p[:3]
-            p[:, :3] = p[:, :3] @ f.T
-            p[:3, :3] += q
-            step += 1
-        for kind, records in enumerate(batches):
-            last = int(np.searchsorted(records.step, step, side="right"))
-            for row in range(next_row[kind], last):
-                seen = records.landmark_index[row : row + 1]
-                columns = layout.columns(seen[seen >= 0])
-                x, p = (_augmented if kind == 1 else _updated)(x, p, records, row, columns)
-            next_row[kind] = last
-        poses.append(x[:3].astype(np.float64))
-        spreads.append(p[:3, :3].astype(np.float64))
-    return Replay(
-        np.array(poses),
-        np.array(spreads),
-        Gaussian(x.astype(np.float64), p.astype(np.float64), layout),
-    )
+        recursion.run_to(end)
+        poses.append(recursion.mean[:3].astype(np.float64))
+        spreads.append(recursion.covariance[:3, :3].astype(np.float64))
+    mean, covariance = (part.astype(np.float64) for part in (recursion.mean, recursion.covariance))
+    return Replay(np.array(poses), np.array(spreads), Gaussian(mean, covariance, recursion.layout))
+
+
+def turned_as_corrected(trace: TraceArrays, landmarks: int) -> tuple[TraceArrays, Array]:
+    """Return a trace whose headings lie on the turn that its own corrections lead to.
+
+    Args:
+        trace: Headings of its points are right but for whole turns.
+        landmarks: How many points it has.
+
+    Returns:
+        The same with these turns, and the last pose (3,) by its own equations.
+    """
+    recursion = _Turning(trace, landmarks, np.float64)
+    recursion.run_to(len(trace.f))
+    return recursion.turned, recursion.mean[:3].copy()
+
+
+class _Recursion:
+    """A filter of recorded equations. mean: (n,). covariance: (n, n)."""
+
+    def __init__(self, trace: TraceArrays, landmarks: int, dtype: type) -> None:
+        self.trace, self.layout = trace, Layout.packed(3, landmarks)
+        n = self.layout.size
+        self.mean: Array = np.zeros(n, dtype)
+        self.covariance: Array = np.zeros((n, n), dtype)
+        self.mean[:3], self.covariance[:3, :3] = trace.prior_pose, trace.prior_covariance
+        self._batches = [records(trace) for records in _BATCHES]
+        self._next_row, self._step, self._dtype = [0, 0, 0], 0, dtype
+
+    def run_to(self, end: int) -> None:
+        """Go on until so many steps are made, and all that is used then is."""
+        while self._step < end:
+            self._use()
+            self._move(self._step)
+            self._step += 1
+        self._use()
+
+    def _move(self, step: int) -> None:
+        x, p, dtype = self.mean, self.covariance, self._dtype
+        f, q = self.trace.f[step].astype(dtype), self.trace.q[step].astype(dtype)
+        apart = x[:3] - self.trace.departed[step].astype(dtype)
+        x[:3] = self.trace.arrived[step].astype(dtype) + f @ apart
+        p[:3] = f @ p[:3]
+        p[:, :3] = p[:, :3] @ f.T
+        p[:3, :3] += q
+
+    def _use(self) -> None:
+        for kind, records in enumerate(self._batches):
+            last = int(np.searchsorted(records.step, self._step, side="right"))
+            for row in range(self._next_row[kind], last):
+                self._use_row(kind, records, row)
+            self._next_row[kind] = last
+
+    def _use_row(self, kind: int, records: MeasurementRecords, row: int) -> None:
+        seen = records.landmark_index[row : row + 1]
+        columns = self.layout.columns(seen[seen >= 0])
+        use = _augmented if kind == 1 else _updated
+        self.mean, self.covariance = use(self.mean, self.covariance, records, row, columns)
+
+
+class _Turning(_Recursion):
+    """The same, which turns each recorded heading by whole turns to its own mean."""
+
+    def __init__(self, trace: TraceArrays, landmarks: int, dtype: type) -> None:
+        seen, new = trace.measurements[POINT], trace.initialisations[POINT]
+        self.turned = replace(
+            trace,
+            departed=trace.departed.copy(),
+            arrived=trace.arrived.copy(),
+            measurements={**trace.measurements, POINT: replace(seen, pose=seen.pose.copy())},
+            initialisations={**trace.initialisations, POINT: replace(new, pose=new.pose.copy())},
+            positions=replace(trace.positions, pose=trace.positions.pose.copy()),
+        )
+        super().__init__(self.turned, landmarks, dtype)
+        self._last_pose, self._last_turns = np.zeros(0), 0.0
+
+    def _turns(self, heading: float) -> float:
+        return float(2.0 * np.pi * np.round((self.mean[2] - heading) / (2.0 * np.pi)))
+
+    def _move(self, step: int) -> None:
+        turns = self._turns(self.trace.departed[step, 2])
+        self.trace.departed[step, 2] += turns
+        self.trace.arrived[step, 2] += turns
+        super()._move(step)
+
+    def _use_row(self, kind: int, records: MeasurementRecords, row: int) -> None:
+        pose = records.pose[row].copy()
+        if not np.array_equal(pose, self._last_pose):  # what is fused together has one point
+            self._last_pose, self._last_turns = pose, self._turns(pose[2])
+        records.pose[row, 2] += self._last_turns
+        super()._use_row(kind, records, row)
 
 
 def _updated(

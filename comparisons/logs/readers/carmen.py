@@ -23,13 +23,13 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.log import Log, Prior
 from comparisons.logs.odometry import NOISE_TEXT, displacements, poses_at
 from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweep
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
-from comparisons.logs.table import first_words, locate_rows, read_text, shorten
+from comparisons.logs.table import first_words, locate_rows, read_text
 
 _MOUNT_TOLERANCE = np.array([0.05, 0.05, 0.02])
 _LARGEST_FALL_S = 0.1

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
-from comparisons.logs.table import number_or_fail, shorten
+from comparisons.errors import InputError, shorten
+from comparisons.logs.table import number_or_fail
 from comparisons.logs.validation import LARGEST
 
 TAGS = frozenset(

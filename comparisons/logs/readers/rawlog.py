@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, naming
+from comparisons.errors import InputError, RecordError, naming, shorten
 from comparisons.logs.log import (
     NO_LANDMARK,
     LandmarkMeasurements,
@@ -35,7 +35,7 @@ from comparisons.logs.odometry import NOISE_TEXT, RelativePoses, displacements, 
 from comparisons.logs.readers import rawlog_stream as stream
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
-from comparisons.logs.table import number_or_fail, read_text, shorten
+from comparisons.logs.table import number_or_fail, read_text
 from comparisons.logs.validation import whole_numbers
 from graphslam.increments import Samples, compose
 
