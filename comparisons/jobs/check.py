@@ -49,6 +49,7 @@ from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
+from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
@@ -270,6 +271,7 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
         known.value(TruthGapFinding),
         unchecked="",
         consistency=known.value(ConsistencyFinding),
+        unused=known.value(UnusedPositionsFinding),
         fail_on=(),
     )
     return replace(
