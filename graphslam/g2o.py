@@ -18,11 +18,11 @@ import bz2
 import gzip
 import math
 import zlib
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -353,7 +353,8 @@ def _vertices(edges: tuple[Index, Index, Array], covariance: Array, poses: Array
 @contextmanager
 def _opened(path: Path) -> Iterator[Iterator[str]]:
     """Lines of a file, unpacked where its suffix says so. Raises ValueError for a damaged one."""
-    opener = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix.lower(), open)
+    openers: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open}
+    opener = openers.get(path.suffix.lower(), open)
     try:
         with opener(path, "rt", encoding="utf-8", errors="replace") as file:
             yield _bounded(path, file)
