@@ -34,10 +34,9 @@ from comparisons.checks.diagnosis.single_precision import (
     allowed_gap,
     allowed_of_estimate,
     computed_in_single,
-    replay,
     restored_traces,
-    turned_as_corrected,
 )
+from comparisons.checks.diagnosis.trace_recursion import replay, turned_as_corrected
 from comparisons.checks.registry import OF_FILTER
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import SolveConfig
