@@ -46,7 +46,7 @@ GATE = {0.95: 5.991464547107979, 0.99: 9.21034037197618, 0.997: 11.6182859806280
 """Chi-square quantiles of two degrees of freedom, from a table."""
 NEAR, NEAR_M = 25.0, 0.5
 """Without labels: innovation squared, and distance, within which a landmark is the same."""
-VAST_M = 1e4
+VAST_M = 1e3
 """Sigma of a landmark of which nothing is known."""
 
 

@@ -61,10 +61,10 @@ def drive(seed: int, kind: str, count: int = 400, fixes: int = 0) -> Log:
         moved = dict(zip(("x_m", "y_m", "heading_rad"), path.T, strict=True))
     positions = None
     if fixes:
-        rows = np.arange(fixes, count, fixes)
-        place = pose[rows, :2] + rng.normal(0.0, _SIGMA_POSITION_M, (len(rows), 2))
+        every = np.arange(fixes, count, fixes)
+        place = pose[every, :2] + rng.normal(0.0, _SIGMA_POSITION_M, (len(every), 2))
         x, y = place.T
-        positions = {"time_s": time_s[rows], "x_m": x, "y_m": y, "sigma_m": _SIGMA_POSITION_M}
+        positions = {"time_s": time_s[every], "x_m": x, "y_m": y, "sigma_m": _SIGMA_POSITION_M}
     odometry = {"time_s": time_s, **moved, **sigmas}
     return Log.from_arrays(odometry, seen, positions=positions, name=f"{kind} {seed}")
 

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.odometry_drives import drive
 from benchmarks.script import options
 from benchmarks.trust_row import Row, print_table
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
@@ -269,7 +269,7 @@ def _times(log: Log) -> Array:
     return log.measurements.time_s
 
 
-def _measured(log: Log, **columns: Array) -> Log:
+def _measured(log: Log, **columns: Array | Index) -> Log:
     return replace(log, measurements=replace(log.measurements, **columns))  # type: ignore[arg-type]
 
 

@@ -66,6 +66,7 @@ from comparisons.fingerprints.data_use import (
     LeftOut,
     SelectedMeasurements,
     find_left_out,
+    labelled_as,
     left_out_of,
     with_removed,
     without,
@@ -75,6 +76,7 @@ from comparisons.fingerprints.estimate_motion import (
     integrations_by_steps,
     integrations_of,
 )
+from comparisons.fingerprints.map_labels import map_labels
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
@@ -373,7 +375,7 @@ class _Job:
         """The same once a fault reproduces the estimate, or it is sound; None where neither is."""
         if first.outcome == "agree":
             return first
-        found = self.selected(first)
+        found = self.by_map(first) or self.selected(first)
         found = (
             found
             or _of_sigma_points(first)
@@ -384,6 +386,23 @@ class _Job:
             other = self.integrated(first, FILTERS)
             found = other if other.outcome == "agree" else _within_spread(other)
         return found
+
+    def by_map(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same beside references that associate as the estimate's map says, if it is like one.
+
+        None where a trace says how its filter did, or the log's labels do.
+        """
+        solution = first.solution
+        if first.trace is not None or solution.prepared.labelled:
+            return None
+        implied = map_labels(first.inside, solution.log.measurements, solution.landmark_index)
+        if implied is None:
+            return None
+        log = labelled_as(solution.log, implied.label)
+        given = with_removed(first.given, log)
+        again = self._graded(given, self.solver(log, self.config, self.progress))
+        found = again if again.outcome == "agree" else self.selected(again)
+        return found and _saying(implied.said(), found)
 
     def selected(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same beside references that leave out what its filter seems to, if it is like one.
