@@ -39,7 +39,7 @@ _FAR = float(chi2_quantile(1.0 - _OUTSIDE, 2)) ** 0.5
 """Sigma beyond which a residual counts as so far, where their correlation is asked for."""
 _FEWEST = 5
 """Positions; of fewer, the middle one says nothing."""
-KIND = "unused positions"
+KIND = "contradiction"
 
 
 @dataclass(frozen=True)
