@@ -100,12 +100,11 @@ class LogSection(Section):
     )
     topics: tuple[str, ...] | None = setting(
         None,
-        "Topics of a ROS bag to read. Default: per message type, the topic with most messages",
+        "Topics of a ROS bag to read. Default: per message type, the only one",
         Option(
             "--topic",
             JOB,
-            "Topic of a ROS bag to read; repeat it for several. [per message type, the topic "
-            "with most messages]",
+            "Topic of a ROS bag to read; repeat it for several. [per message type, the only one]",
             metavar="NAME",
         ),
     )

@@ -81,11 +81,14 @@ _SLIGHT = 1e-3
 """Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
-_VANISHED, _BESIDE = 1e-13, 1e-7
-"""Of the variance before an update, as what is left by one that tells all, and as the unit in which
-that is measured: below it is rounding."""
+_ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-7
+"""Of the variance before an update: what is left by one that tells nearly all; of what cancels in
+it, what is left by one that tells all, and the unit in which that is measured, for it is rounding.
+"""
+_NOTHING = 1e-30
+"""A variance, in whatever unit, that is rounding of nothing."""
 _UNTOLD = "and the covariance is compared with nothing: record the gains"
-_OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
+_OF_EVENTS = ("noise", "use", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
@@ -141,7 +144,8 @@ class AlgebraCheck:
     """Goes through events, the prior first, and keeps what it finds.
 
     replay: the recursion. sound: no snapshot was wrong; optimal: no gain was other than Kalman's.
-    gains: how many gains and corrections were compared with Kalman's. known: the recursion stands
+    gains: how many gains and corrections were compared with Kalman's. unlike: how many of them are
+    others. known: the recursion stands
     for what the filter holds; not so from a noise that is no covariance to the next whole snapshot.
     """
 
@@ -151,7 +155,7 @@ class AlgebraCheck:
         """tolerance: what rounding explains, in standard deviations."""
         self.tolerance = tolerance
         self.sound = self.optimal = self.known = True
-        self.gains = 0
+        self.gains = self.unlike = 0
         self._known: set[str] = set()
         self._searched = 0
         self._broken: set[str] = set()
@@ -200,7 +204,7 @@ class AlgebraCheck:
         self._carry_rounding(event)
         fused = self.replay.apply(event)
         if fused is not None:
-            self._note_known(before)
+            self._note_known(before, fused)
         if not self.known:
             return None
         if isinstance(event, Update) and event.used and fused is not None:
@@ -277,6 +281,8 @@ class AlgebraCheck:
         sigma: Array = np.sqrt(np.maximum(self.replay.covariance.diagonal(), least))
         unlike = check_gain(event, fused, sigma, layout, self.tolerance)
         if unlike:
+            self.unlike += 1
+            self._growth(event, before, fused)
             self.note_precision(event.number, event.gain, event.correction)
             if event.gain is None:
                 self._open[event.number] = event
@@ -289,6 +295,29 @@ class AlgebraCheck:
             )
             kind = one.kind if what == one.what and one.kind else what
             self._pending.append((finding, kind))
+
+    def _growth(self, event: Update, before: Array, fused: Fused) -> None:
+        """Name a gain by which an update makes the estimate less certain. before: P before it.
+
+        What a correction leaves of the error of what is measured is I - H K: where an eigenvalue
+        of it is beyond one, it makes the error larger, and with each such update more so.
+        """
+        gain, p = event.gain, self.replay.covariance
+        if gain is None or not np.isfinite(p).all():
+            return
+        was, now, layout = before.diagonal(), p.diagonal(), self.replay.layout
+        unit = np.maximum(was, 0.0 if self._rounding is None else self._rounding)
+        grown = now > was + self.tolerance * unit + _NOTHING
+        if not grown.any():
+            return
+        left = np.eye(len(event.noise)) - event.jacobian @ gain[layout.columns(event.blocks)]
+        factor = float(np.abs(np.linalg.eigvals(left)).max()) if np.isfinite(left).all() else 0.0
+        names = tuple(name for name in layout.dims if grown[layout.entries(name)].any())
+        text = f"{name_of(event)} makes {', '.join(names)} less certain by its gain"
+        if fault := factor > 1.0 + self.tolerance:
+            text += f", which leaves {factor:.3g} times the error of what is measured: it diverges"
+        finding = Finding("gain", fault, text, event.number, sensor=event.sensor, blocks=names)
+        self._pending.append((finding, f"less certain {fault}"))
 
     def _name(self, event: Update, before: Array, unlike: Unlike) -> str | None:
         """Say of what a gain or a correction is, if it is known. before: P before the update."""
@@ -353,13 +382,17 @@ class AlgebraCheck:
         if whole or self._start is not None:
             self._restart(recorded if whole else None)
 
-    def _note_known(self, before: Array) -> None:
+    def _note_known(self, before: Array, fused: Fused) -> None:
         """Note entries of which an update leaves nothing but rounding. before: P before it."""
         was, now = before.diagonal(), self.replay.covariance.diagonal()
-        known = now <= _VANISHED * was
-        if known.any():
-            old = np.zeros(len(was)) if self._rounding is None else self._rounding
-            self._rounding = np.where(known, np.maximum(_BESIDE * was, old), old)
+        if not (now <= _ALL_BUT * was).any():
+            return
+        # What cancels in P - K S K^T is as large as this, more than P where K is.
+        spread = np.sqrt(np.maximum(fused.spread.diagonal(), 0.0))
+        size = np.maximum(was, (np.abs(fused.gain) @ spread) ** 2)
+        known = now <= _VANISHED * size
+        old = np.zeros(len(was)) if self._rounding is None else self._rounding
+        self._rounding = np.where(known, np.maximum(_BESIDE * size, old), old)
 
     def _carry_rounding(self, event: Event) -> None:
         """Carry on what is rounding to where an event leads it."""

@@ -61,8 +61,16 @@ class KnownFault:
     def member(self, number: float) -> KnownFault:
         """The error of the family with a number."""
         assert self.number is not None  # noqa: S101 - asked for before
-        what = self.what.format(f"{number:.4g}")
+        what = self.what.format(number_text(number, self.neutral))
         return KnownFault(what, self.blocks, self.number(number), kind=self.what)
+
+
+def number_text(number: float, neutral: float) -> str:
+    """Return a number with four digits, or as many as tell it from the one of no error."""
+    for count in range(4, 16):
+        if float(text := f"{number:.{count}g}") != neutral:
+            return text
+    return f"{number:.17g}"
 
 
 def digits(number: float, neutral: float) -> int:
@@ -435,6 +443,11 @@ def _gains(event: Update, replay: Remembering) -> Iterator[OtherGain]:
             prior=Remembering.unpredicted,
         )
     yield OtherGain("R in place of S", blocks, lambda r, e: _by(r, e, _inverse(e.noise)))
+    yield OtherGain(
+        "P H^T S, with S in place of its inverse",
+        blocks,
+        lambda r, e: _by(r, e, _spread(r.covariance, r, e)),
+    )
     yield OtherGain("P H^T, without the inverse of S", blocks, lambda r, e: _by(r, e, np.eye(1)))
     m = len(event.residual)
     if m > 1:

@@ -344,11 +344,12 @@ def _gain(
         names = ", ".join(silent)
         return [Unlike(f"does not correct {names} (Schmidt)", silent, False)]
     weight = float(np.vdot(given, right) / np.vdot(right, right)) if scale else 0.0
-    if np.abs(given - weight * right).max() <= _ALIKE * scale:
-        return [Unlike(f"uses {weight:.4g} times Kalman's gain", wrong, False, "times Kalman's")]
+    plain = f"{weight:.4g}"
+    if plain != "1" and np.abs(given - weight * right).max() <= _ALIKE * scale:
+        return [Unlike(f"uses {plain} times Kalman's gain", wrong, False, "times Kalman's")]
     s = root @ root.T
     factor = noise_factor(event.gain, fused.gain @ s, s - event.noise, event.noise)
-    if factor is not None:
+    if factor is not None and f"{factor:.4g}" != "1":
         return [Unlike(f"uses the gain of {factor:.4g} R", wrong, False, "times R")]
     off = float(np.abs(given - right).max() / (scale or 1.0))
     text = f"has a gain that is not Kalman's on {', '.join(wrong)} (by {100 * off:.2g} %)"

@@ -68,6 +68,13 @@ class TraceFile:
         """It is of slamcheck 0.2, and has no events."""
         return self.path.suffix == Path(FORMER).suffix
 
+    @property
+    def measurements_used(self) -> int:
+        """How many measurements of the log it used, each counted once."""
+        uses = self.trace.measurements[POINT], self.trace.initialisations[POINT]
+        number = np.concatenate([one.number for one in uses])
+        return len(np.unique(number[number >= 0]))
+
     def placed(self, names: LandmarkNames) -> TraceFile:
         """Return the trace with the places of its blocks' landmarks in the estimate's list.
 

@@ -144,6 +144,15 @@ def own_start(log: Log, covariance: Array) -> Fault:
     return Fault(what, feed=lambda log: _with_prior(log, covariance))
 
 
+def is_setting(what: str) -> bool:
+    """Return whether a fault is one of a filter's own settings: where it starts, and padding of Q.
+
+    Args:
+        what: The fault in words, as of this catalogue.
+    """
+    return what.startswith(("the prior's covariance", "the stabilisation noise"))
+
+
 def families(log: Log) -> Iterator[Family]:
     """Yield the faults with a number."""
     for what, in_range, in_bearing in (

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.filter_variants import BackwardEkf, ScalarEkf, SequentialEkf
 from comparisons.arrays import Array, Index
 from comparisons.audit.own_filter import distances_of
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, likeness
@@ -22,7 +23,7 @@ from comparisons.estimates.external import ExternalEstimate, Removed
 from comparisons.fingerprints.companion import Companion, Left
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log
 from comparisons.pipeline.prepared import Prepared
-from comparisons.pipeline.references import ORDERS, filter_named
+from comparisons.pipeline.references import EKF, ONE_BY_ONE, filter_of
 from comparisons.statistics import chi2_quantile
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import MeasurementModel
@@ -31,6 +32,13 @@ from ekf_reference.core.state import KalmanState
 
 _LEVELS = (0.95, 0.975, 0.99, 0.995, 0.997, 0.999)
 """Probabilities of textbooks' gates."""
+_ORDERS: dict[str, type[Ekf]] = {
+    EKF: Ekf,
+    ONE_BY_ONE: SequentialEkf,
+    f"{ONE_BY_ONE}, the last first": BackwardEkf,
+    f"{ONE_BY_ONE}, of range and of bearing": ScalarEkf,
+}
+"""Filters that may leave something out."""
 _MOST_FIRST = 3
 """So many first measurements of each landmark may be left out."""
 _MOST_PRUNED = 9
@@ -201,43 +209,48 @@ class _Gated:
 
 
 class _Try(NamedTuple):
-    """A filter with a rule. near: beside the estimate, None where the run was given up."""
+    """A filter with a rule. near: beside the estimate, None where the run was given up.
+
+    equal_s, reached_s: the last time at which it was equal to rounding, and still near.
+    """
 
     order: str
     first: int
     gate: float
+    equal_s: float
     reached_s: float
     near: Likeness | None
     rejected: set[bytes]
 
     @property
-    def rank(self) -> tuple[bool, bool, float]:
+    def rank(self) -> tuple[bool, bool, float, float]:
         """The nearer, the larger."""
         grade = None if self.near is None else self.near.grade
-        return grade == "equal", grade is not None, self.reached_s
+        return grade == "equal", grade is not None, self.equal_s, self.reached_s
 
 
 def find_left_out(
     given: ExternalEstimate, prepared: Prepared[SolveConfig], sound: Likeness
-) -> LeftOut | None:
-    """Return what a filter without a trace left out, if a reference that does so is like it.
+) -> tuple[LeftOut, Likeness] | None:
+    """Return what a filter without a trace left out, and the reference that does so and is like it.
 
     given: its poses at the reference's times, and no others. sound: what it is most like of what
     leaves nothing out.
     """
     log, label = prepared.log, prepared.log.measurements.landmark
-    rows, rules = np.zeros(0, dtype=np.intp), list[str]()
+    rows, rules, most = np.zeros(0, dtype=np.intp), list[str](), 0
     if given.landmark_id is not None:
         absent = np.setdiff1d(label[label >= 0], given.landmark_id)
         if most := seldom_measured(label, absent):
-            rules.append(f"those of landmarks with fewer than {most + 1} measurements")
             rows = np.flatnonzero(np.isin(label, absent))
     search = _Search(given, prepared, sound, rows)
     best = search.best()
     if best.near is None or best.near.grade is None:
         return None
     if best.first:
-        rules.insert(0, _first_words(best.first))
+        rules.append(_first_words(best.first))
+    if len(rows) and most > best.first:
+        rules.append(f"those of landmarks with fewer than {most + 1} measurements")
     if best.gate:
         rules.append(_gate_words(best.gate))
     left = np.union1d(rows, first_rows(label, best.first))
@@ -245,7 +258,7 @@ def find_left_out(
     beyond = [k for k, one in enumerate(z) if one.tobytes() in best.rejected]
     left = np.union1d(left, np.array(beyond, dtype=np.intp))
     left = left[label[left] >= 0].astype(np.intp)
-    return LeftOut(left, " and ".join(rules)) if len(left) else None
+    return (LeftOut(left, " and ".join(rules)), best.near) if len(left) else None
 
 
 @dataclass
@@ -266,7 +279,7 @@ class _Search:
 
     def _firsts(self) -> Iterator[_Try]:
         for first in range(_MOST_FIRST):
-            for order in ORDERS:
+            for order in _ORDERS:
                 yield (found := self._run(order, first, 0.0))
                 if found.rank[0]:
                     return
@@ -291,9 +304,10 @@ class _Search:
 
         near = None
         try:
-            found = filter_named(order, replace(prepared, log=log), given.time_s, started)
+            other = replace(prepared, log=log)
+            found = filter_of(order, _ORDERS[order], other, given.time_s, started)
             if found is not None:
                 near = likeness(given, found, labelled=True)
         except Left:
             pass
-        return _Try(order, first, gate, beside.reached_s, near, rejected)
+        return _Try(order, first, gate, beside.last_s, beside.reached_s, near, rejected)

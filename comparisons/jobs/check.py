@@ -27,6 +27,7 @@ from comparisons.checks.diagnosis.diagnosis import (
     simplest_motion,
 )
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts, paths_beside, undone
+from comparisons.checks.diagnosis.model_differences import PREDICTIONS
 from comparisons.checks.external_agreement import (
     Coverage,
     ExternalAgreement,
@@ -35,15 +36,24 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
-from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
+from comparisons.checks.grade import (
+    GRADES,
+    LIKE_SIGMA,
+    LIKE_VARIANCE,
+    Grade,
+    Likeness,
+    Part,
+    likeness,
+)
 from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome, Verdict
-from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
+from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
 from comparisons.estimates.reference import Reference
+from comparisons.faults.catalogue import is_setting
 from comparisons.fingerprints.clock import (
     counts_as_file,
     on_file_clock,
@@ -65,6 +75,7 @@ from comparisons.fingerprints.estimate_motion import (
     integrations_of,
 )
 from comparisons.fingerprints.search import fault_cause, fingerprints
+from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
@@ -73,6 +84,7 @@ from comparisons.logs.stamps import at_instants, rounded
 from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.known import Given, Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import (
     APART,
     EKF,
@@ -306,10 +318,11 @@ class _Job:
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
-        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
+        prepared = prepare_solve(self.log, self.config)
+        instants_s = prepared.timeline.instants_s()
         given = on_log_clock(given, self.log, instants_s)
         placed = replace(given, time_s=at_instants(given.time_s, instants_s))
-        left_out = self._left_out(placed)
+        left_out = self._left_out(placed, prepared)
         if left_out is not None:
             other = replace(self, log=without(self.log, left_out.rows))
             return _saying(left_out.said(self.log), other._started(given, placed))
@@ -321,11 +334,14 @@ class _Job:
         found = integrations_by_steps(inside, self.own.prepared)
         return self._moving(given, found) if found else self._graded(given, self.own)
 
-    def _left_out(self, placed: ExternalEstimate) -> LeftOut | None:
+    def _left_out(
+        self, placed: ExternalEstimate, prepared: Prepared[SolveConfig]
+    ) -> LeftOut | None:
         """What the filter of a trace left out by a rule, if it is one of the log's labels."""
-        prepared = prepare_solve(self.log, self.config)
-        sound = placed.trace is not None and not placed.trace.unsound
-        if not (sound and prepared.labelled) or self.log.known_landmarks is not None:
+        file, count = placed.trace, len(self.log.measurements.landmark)
+        if file is None or file.unsound or not prepared.labelled:
+            return None
+        if self.log.known_landmarks is not None or file.measurements_used == count:
             return None
         return left_out_of(self.log, trace_run(placed, prepared)[0])
 
@@ -377,11 +393,15 @@ class _Job:
         if first.trace is not None or not known or not first.peers or first.peers[0].smoothed:
             return None
         sound = likeness(first.inside, first.peers[0], labelled=True)
-        left_out = find_left_out(first.inside, prepared, sound)
-        if left_out is None:
+        found = find_left_out(first.inside, prepared, sound)
+        if found is None:
             return None
+        left_out, near = found
         log = without(prepared.log, left_out.rows)
         again = self._graded(first.given, self.solver(log, self.config, self.progress))
+        if again.outcome != "agree" and near.grade is not None and not again.coverage.short:
+            again = replace(again, variants=(*again.variants, near.reference))
+            again = _sound(again, near, near.grade)
         return _saying(left_out.said(self.log), again) if again.outcome == "agree" else None
 
     def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
@@ -462,12 +482,48 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
     known = fingerprints(inside, prepared, sound, progress, several=several)
     if not known:
         return None
+    if said := _without_effect(known[0], sound, found):
+        return _sound(_saying(said, found), sound, "like")
     others, follow = found.causes, tuple[str, ...]()
     if known[0].exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
     if known[0].whole:  # the same poses, landmarks and covariances, so all that differs from sound
         follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
     return replace(found, causes=(fault_cause(known, sound), *others), consequences=follow)
+
+
+def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -> str:
+    """Say that an estimate differs from a sound one by a setting that changes nothing in the end.
+
+    "" for what is no setting of the filter's start and noise, and where it changes the last pose or
+    the map, or the trace differs from the models in more.
+    """
+    if not (known.whole and is_setting(known.fault)) or sound.missing or sound.unmapped:
+        return ""
+    if found.trace is not None and not _of_settings(found.trace):
+        return ""
+    poses, *others = sound.parts
+    last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
+    if not all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in (last, *others)):
+        return ""
+    ends = replace(sound, parts=(last, *others))
+    low, high = ends.variances or (1.0, 1.0)
+    return (
+        f"{known.fault}: with this {sound.reference.name} equals the estimate "
+        f"({known.sigma:.1g} sigma); without it the last pose and the map differ by at most "
+        f"{ends.sigma:.2g} sigma, and by variances of {low:.3g} to {high:.3g} times"
+    )
+
+
+def _of_settings(traced: TraceCheck) -> bool:
+    """Whether a trace differs from the models in the prior and the noise of predictions alone."""
+    causes = {one.gap for one in traced.verdict.causes} & set(FILTER_FAULTS)
+    differences = traced.known.records.differences
+    return causes <= {"model"} and all(
+        one.relation == "priors"
+        or (one.relation == PREDICTIONS and one.quantity == "the noise covariance")
+        for one in differences
+    )
 
 
 def _filter_like(found: ExternalCheck) -> Likeness | None:

@@ -231,10 +231,13 @@ def parse_toml(text: str) -> dict[str, Any]:
     return found
 
 
-def _check_integers(value: Any) -> None:
-    """Raise ValueError for a whole number that TOML does not promise to hold."""
-    if isinstance(value, dict | list):
-        for part in value.values() if isinstance(value, dict) else value:
-            _check_integers(part)
+def _check_integers(value: Any, key: str = "") -> None:
+    """Raise ValueError for a whole number that TOML does not promise to hold. key: of the value."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            _check_integers(part, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for part in value:
+            _check_integers(part, key)
     elif isinstance(value, int) and abs(value) >= 2**64:
-        raise ValueError("a whole number of more than 64 bits")
+        raise ValueError(f"{shorten(key)} is a whole number of more than 64 bits")

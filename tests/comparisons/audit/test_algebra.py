@@ -148,7 +148,7 @@ def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
     check = handed_in(c, tmp_path)
     cause = present(check.trace).verdict.causes[0]
     assert cause.gap == "algebra"
-    assert "a snapshot of the covariance, recorded after each event" in cause.hint
+    assert "record a snapshot after each event" in cause.hint
 
 
 BLOCKS, DIMS = ("place", "speed", "bias"), (2, 1, 1)
