@@ -12,10 +12,10 @@ from comparisons.cli.app import COMMANDS, build
 ROOT = Path(__file__).resolve().parents[1]
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 PLAIN = """
-alike area attributes beyond certain checked closed common computed condition corners duplicates
-duration ever failed fastest five found grew guess half jointly judgement kind labelled last leaves
+alike area attributes beyond certain checked claimed closed common computed condition corners duplicates
+duration ever failed fastest five found gain gained guess half jointly judgement kind labelled last leaves
 left match matched median merged merges moves name occupied reached rejects restarts rule
-searches second seems shift smallest splits stamps steps these trial tried turn unchanged under
+searches second shift smallest splits stamps steps these trial tried turn unchanged under
 wheels
 """
 """Words of rows that mean what they mean elsewhere."""
