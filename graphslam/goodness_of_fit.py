@@ -218,9 +218,13 @@ class Goodness:
 
     def _limit(self, part: Part) -> float:
         """Of a p-value, such that a share LEVEL of right problems has one below."""
-        singles = sum(one.how == "single" for one in self._parts)
-        alike = singles if part.how == "single" else len(self._parts) - singles
-        return 0.5 * LEVEL / alike
+        return 0.5 * LEVEL / self._counts[part.how == "single"]
+
+    @cached_property
+    def _counts(self) -> tuple[int, int]:
+        """How many parts are of several residuals, and how many of one."""
+        singles = sum(part.how == "single" for part in self._parts)
+        return len(self._parts) - singles, singles
 
     @cached_property
     def _parts(self) -> list[Part]:

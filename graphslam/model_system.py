@@ -54,8 +54,10 @@ class RelationPoints:
 
     def part(self, rows: slice) -> RelationPoints:
         """Return some of them."""
-        columns = vars(self).values()
-        return RelationPoints(*(None if one is None else one[rows] for one in columns))
+        entries = None if self.entries is None else self.entries[rows]
+        return RelationPoints(
+            self.row[rows], self.weight[rows], self.first[rows], self.second[rows], entries
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

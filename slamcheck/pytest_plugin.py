@@ -278,11 +278,11 @@ def _judge(
     title = log.name
     checked: object
     if isinstance(config, CheckConfig):
-        from comparisons.estimates.external import read_external
         from comparisons.jobs.check import check
+        from comparisons.pipeline.read import read_estimate
 
         title += f", estimate {config.estimate}"
-        given = read_external(Path(config.estimate), config.times, config.trace)
+        given = read_estimate(config)
         checked = check(log, given, config, solver=partial(_solved, kept))
     else:
         from comparisons.jobs.run import compare

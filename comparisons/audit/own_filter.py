@@ -19,6 +19,7 @@ from comparisons.arrays import Array, Index
 from comparisons.audit.directions import planar_directions
 from comparisons.audit.replay import LongFormReplay, Replay, ShortFormReplay
 from comparisons.audit.spurious import VEHICLE
+from comparisons.logs.log import Log
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -31,6 +32,7 @@ from comparisons.trace.events import (
     Update,
 )
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.trace import VEHICLE as ORIGIN
 from ekf_reference.core.trace import (
@@ -42,6 +44,7 @@ from ekf_reference.core.trace import (
     stack_records,
 )
 from ekf_reference.filters.compressed import CompressedState
+from ekf_reference.models.range_bearing import RangeBearing
 
 SENSORS = {POINT: "measurements", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
@@ -106,30 +109,80 @@ def residuals_at_points(run: EkfRun) -> Array:
     Returns:
         (M, 2), a row for each record: those of other updates as they were recorded.
     """
-    events, residual = _Events(run), run.trace.measurements[POINT].innovation.copy()
-    mean: Array = np.zeros(0)
+    used = run.trace.measurements[POINT]
+    residual, entries, before = used.innovation.copy(), used.entries > 0.0, np.zeros(0)
+    for event, rows, mean, replay in _means(run):
+        if isinstance(event, Update) and event.sensor.endswith(SENSORS[POINT]):
+            at, point = replay.layout.columns(event.blocks), np.asarray(event.point)
+            off, left = before[at] - point, mean[at] - point
+            if np.abs(left).max() < _NEARER * np.abs(off).max():
+                shift = np.zeros(entries[rows].shape)
+                shift[entries[rows]] = event.jacobian @ off
+                residual[rows] += shift
+        before = mean
+    return residual
+
+
+def distances_of(run: EkfRun, log: Log) -> tuple[Array, Array]:
+    """Return the normalised innovations squared of a log's measurements, used or not.
+
+    Args:
+        run: As the filter made it, with the log's labels.
+        log: Whose measurements they are.
+
+    Returns:
+        (M,) by the state before the updates of each instant, and (M,) by that before its own turn;
+        NaN of what the filter has not mapped by then.
+    """
+    index, epoch = run.landmark_index, run.timeline.measurement_epoch
+    label = log.measurements.landmark[: len(index)]
+    name_of = {int(label[k]): int(index[k]) for k in np.flatnonzero(index >= 0)}
+    step = run.timeline.steps_until()[epoch]
+    events, made = _Events(run), 0
+    before, alone = np.full(len(index), np.nan), np.full(len(index), np.nan)
+    for event, _, mean, replay in _means(run):
+        at_turn = not isinstance(event, Prior | Predict)
+        if isinstance(event, Predict):
+            made += 1
+        rows = np.flatnonzero(step == made)
+        if at_turn and isinstance(event, Update | Augment) and event.numbers is not None:
+            rows = rows[rows > event.numbers.max()]
+        for row in rows.tolist():
+            block = events.name(POINT, name_of[int(label[row])]) if label[row] in name_of else ""
+            if block in replay.layout.dims:
+                alone[row] = _distance(log, row, mean, replay, block)
+                if not at_turn:
+                    before[row] = alone[row]
+    return before, alone
+
+
+def _distance(log: Log, row: int, mean: Array, replay: Replay, block: str) -> float:
+    """Return the normalised innovation squared of a measurement of a point."""
+    seen, at = log.measurements, replay.layout.columns((VEHICLE, block))
+    x, p = mean[at], replay.covariance[at][:, at]
+    z, by_pose, by_point = RangeBearing().predict(x[:_PLANAR], x[None, _PLANAR:])
+    h = np.hstack((by_pose[0], by_point[0]))
+    off = np.array([seen.range_m[row], seen.bearing_rad[row]]) - z[0]
+    off[1] = wrap_angle(off[1])
+    r = np.diag((seen.sigma_range_m[row], seen.sigma_bearing_rad[row])) ** 2
+    return float(off @ np.linalg.solve(h @ p @ h.T + r, off))
+
+
+def _means(run: EkfRun) -> Iterator[tuple[Event, slice, Array, Replay]]:
+    """Yield each event with its rows, if it is an update, and the mean and covariance after it."""
+    events, mean = _Events(run), run.trace.prior_pose.copy()
     replay: Replay
     for event in events.all():
         if isinstance(event, Prior):
-            replay, mean = Replay(event), run.trace.prior_pose.copy()
+            replay = Replay(event)
+            yield event, events.rows, mean, replay
             continue
-        before = mean.copy()
-        match event:
-            case Predict() | Augment():
-                mean = _moved(mean, event)
+        if isinstance(event, Predict | Augment):
+            mean = _moved(mean, event)
         fused = replay.apply(event)
-        if not isinstance(event, Update) or fused is None:
-            continue
-        mean = mean + fused.applied
-        if event.sensor.endswith(SENSORS[POINT]) and event.point is not None:
-            at = replay.layout.columns(event.blocks)
-            off, left = before[at] - event.point, mean[at] - event.point
-            if np.abs(left).max() < _NEARER * np.abs(off).max():
-                used = run.trace.measurements[POINT].entries[events.rows] > 0.0
-                shift = np.zeros(used.shape)
-                shift[used] = event.jacobian @ off
-                residual[events.rows] += shift
-    return residual
+        if fused is not None:
+            mean = mean + fused.applied
+        yield event, events.rows, mean, replay
 
 
 def _moved(mean: Array, event: Predict | Augment) -> Array:

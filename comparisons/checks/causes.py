@@ -104,7 +104,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "The smoother's chi-square is too high, and neither another number, unit or sign, nor "
         "another noise of one sensor leaves the stated noise everywhere. The evidence says where "
         "the residuals first leave it. This cause explains another one and never appears alone.",
-        "Look at what was recorded there: its association, its clock, its frame. Two faults at "
+        "Check what was recorded there: its association, its clock, its frame. Two faults at "
         "once fit by no single change.",
         decides="never",
     ),

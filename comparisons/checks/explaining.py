@@ -167,7 +167,7 @@ def misfit(test: ChiSquareTest, departure: str, consistency: Consistency | None)
     return Cause(
         "misfit",
         "; ".join(filter(None, parts)),
-        "look at what was recorded there: its association, its clock, its frame",
+        "check what was recorded there: its association, its clock, its frame",
     )
 
 

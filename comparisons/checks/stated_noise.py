@@ -53,7 +53,7 @@ class StatedNoise:
     def said(self) -> str:
         """The factor, and what is known of it."""
         if not self.settled:
-            return f"about {self.factor:.1g}, not settled"
+            return f"about {self.factor:.1g}, not converged"
         if finite(self.high) is None:
             return "not testable here"
         interval = f"{_digits(self.low)} to {_digits(self.high)}"

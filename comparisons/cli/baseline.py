@@ -228,11 +228,11 @@ def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
 
     with progress_bar() as progress:
         if isinstance(config, CheckConfig):
-            from comparisons.estimates.external import read_external
             from comparisons.jobs.check import check
+            from comparisons.pipeline.read import read_estimate
             from comparisons.report.check import CheckReport
 
-            given = read_external(Path(config.estimate), config.times, config.trace)
+            given = read_estimate(config)
             return CheckReport.build(check(log, given, config, progress))
         from comparisons.jobs.run import compare as compare_estimators
         from comparisons.report.run import RunReport

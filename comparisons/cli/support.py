@@ -12,11 +12,12 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from comparisons.errors import InputError, one_line, printable, unusable_file
+from comparisons.errors import InputError, note, one_line, printable, unusable_file
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from comparisons.logs.log import Log
     from comparisons.pipeline.clock import Progress
     from comparisons.report.terminal import Summary
 
@@ -159,6 +160,15 @@ def _is(error: Exception, module: str, name: str) -> bool:
     """Whether an error is of a class of a module, which need not be loaded for every command."""
     loaded = sys.modules.get(module)
     return loaded is not None and isinstance(error, getattr(loaded, name))
+
+
+def say_streams(log: Log, source: str) -> None:
+    """Print which topics of a bag a log was read from, and what of them was left out."""
+    from comparisons.logs.readers import ros_bag, rosbag
+
+    if ros_bag.recognise_bag(Path(source).expanduser()) is not None:
+        for line in rosbag.streams_of(log):
+            note(f"{log.name}: {line}")
 
 
 def fail(message: str, code: int) -> NoReturn:

@@ -208,8 +208,8 @@ def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array, dict[int, str]
     seen = {""}
     for row, word in enumerate(words):
         if word in seen:
-            fault = f"is '{shorten(word)}' a second time" if word else "is empty"
-            raise InputError(f"{path}:{table.line[row]}: id {fault}, expected a name of its own")
+            fault = f"'{shorten(word)}' appears twice" if word else "is empty"
+            raise InputError(f"{path}:{table.line[row]}: id {fault}, expected each id once")
         seen.add(word)
     if not (np.abs(place) <= LARGEST).all():
         row = int(np.argwhere(~(np.abs(place) <= LARGEST))[0][0])

@@ -68,6 +68,13 @@ class TraceFile:
         """It is of slamcheck 0.2, and has no events."""
         return self.path.suffix == Path(FORMER).suffix
 
+    @property
+    def measurements_used(self) -> int:
+        """How many measurements of the log it used, each counted once."""
+        uses = self.trace.measurements[POINT], self.trace.initialisations[POINT]
+        number = np.concatenate([one.number for one in uses])
+        return len(np.unique(number[number >= 0]))
+
     def placed(self, names: LandmarkNames) -> TraceFile:
         """Return the trace with the places of its blocks' landmarks in the estimate's list.
 
@@ -122,9 +129,9 @@ def read_trace(path: Path) -> TraceFile:
     trace = Trace(path)
     planar = event_arrays(trace)
     unsound = ""
-    if trace.unsound:
-        event, what = min(trace.unsound.items())
-        others = len(trace.unsound) - 1
+    if faults := trace.unsound | trace.singular:  # its equations have an inverse of every R
+        event, what = min(faults.items())
+        others = len(faults) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
     return _checked(path, planar, trace.remarks, unsound)
 

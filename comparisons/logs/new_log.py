@@ -206,11 +206,18 @@ class _Reading:
             raise InputError(f"{path}: expected at least two samples of times that increase")
         slack = 2.0 * float(np.median(np.diff(at_s)))
         ends = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
-        if at_s[0] > time_s[0] + slack or at_s[-1] < time_s[-1] - slack:
+        inside = (time_s >= at_s[0] - slack) & (time_s <= at_s[-1] + slack)
+        if inside.sum() < max(2, len(inside) / 2):
             raise InputError(
                 f"{path}: from {at_s[0]:.3f} to {at_s[-1]:.3f} s, expected yaw rates for the "
                 f"odometry's {time_s[0]:.3f} to {time_s[-1]:.3f} s"
             )
+        if not inside.all():
+            self.notes.append(
+                f"left out: {int((~inside).sum())} of {len(inside)} odometry, outside the time of "
+                "the yaw rates"
+            )
+            table, time_s, ends = table.rows(inside), time_s[inside], ends[inside]
         rate = imu.columns["yaw_rate_radps"]
         turned = np.append(0.0, np.cumsum(np.diff(at_s) * (rate[1:] + rate[:-1]) / 2))
         begin, end = (np.clip(one, at_s[0], at_s[-1]) for one in (time_s, ends))

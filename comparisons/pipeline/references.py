@@ -36,18 +36,18 @@ from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf
 
 EKF = "the reference EKF"
-_ONE_BY_ONE = "an EKF with sequential (one landmark at a time) updates"
+ONE_BY_ONE = "an EKF with sequential (one landmark at a time) updates"
 _VARIANTS: dict[str, type[Ekf]] = {
     "an iterated EKF": IteratedEkf,
-    _ONE_BY_ONE: SequentialEkf,
-    f"{_ONE_BY_ONE}, last first": BackwardEkf,
-    f"{_ONE_BY_ONE}, by label": ByLabelEkf,
-    f"{_ONE_BY_ONE}, by label, largest first": ByLabelBackwardEkf,
-    f"{_ONE_BY_ONE}, nearest first": NearestFirstEkf,
-    f"{_ONE_BY_ONE}, farthest first": FarthestFirstEkf,
+    ONE_BY_ONE: SequentialEkf,
+    f"{ONE_BY_ONE}, last first": BackwardEkf,
+    f"{ONE_BY_ONE}, by label": ByLabelEkf,
+    f"{ONE_BY_ONE}, by label, largest first": ByLabelBackwardEkf,
+    f"{ONE_BY_ONE}, nearest first": NearestFirstEkf,
+    f"{ONE_BY_ONE}, farthest first": FarthestFirstEkf,
     "an EKF that initialises new landmarks before it updates": NewFirstEkf,
-    f"{_ONE_BY_ONE}, new landmarks initialised first": NewFirstSequentialEkf,
-    f"{_ONE_BY_ONE}, new landmarks initialised with a vast covariance": UnknownFirstSequentialEkf,
+    f"{ONE_BY_ONE}, new landmarks initialised first": NewFirstSequentialEkf,
+    f"{ONE_BY_ONE}, new landmarks initialised with a vast covariance": UnknownFirstSequentialEkf,
     "a first-estimates EKF": FirstEstimatesEkf,
     "a right-invariant EKF": InvariantEkf,
     "a robocentric EKF": RobocentricEkf,

@@ -91,8 +91,9 @@ class Trace:
 
     sensors: those that were described. remarks: what a reader should know of the file. unsound: by
     event, of those read so far, what is wrong with its noise, or the prior's P, where that is no
-    covariance. Raises InputError, with the event's number, where the file is no trace, is damaged,
-    or an event cannot be what it says. It may be recorded meanwhile.
+    covariance. singular: likewise, which R has no inverse. Raises InputError, with the event's
+    number, where the file is no trace, is damaged, or an event cannot be what it says. It may be
+    recorded meanwhile.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,6 +102,7 @@ class Trace:
         self.sensors: dict[str, Sensor] = {}
         self.remarks: tuple[str, ...] = ()
         self.unsound: dict[int, str] = {}
+        self.singular: dict[int, str] = {}
         if _is_raw(path):
             self._version = 0
             raw = _RawFile(path)
@@ -121,7 +123,7 @@ class Trace:
     def __iter__(self) -> Iterator[Event]:
         """Yield every event."""
         reader = EventReader(self.path)
-        self.unsound = reader.unsound
+        self.unsound, self.singular = reader.unsound, reader.singular
         yield from self._first_format(reader) if self._version == 1 else self._batches(reader)
         if reader.at < 0:
             raise InputError(f"{self.path}: holds no events, expected a filter's trace")

@@ -43,6 +43,7 @@ _ROUNDING = 1e-12
 """Entries of a noise below it, beside the variances of the errors that it is added to."""
 _SINGLE = 64.0 * 2.0**-24
 """The same, of a covariance whose numbers are all of single precision."""
+_IS_SINGULAR = "is singular"
 
 
 class Cell:
@@ -95,13 +96,15 @@ class EventReader:
     """Makes events of rows, and follows which blocks there are.
 
     at: number of the last event, -1 before the first. unsound: by the number of an event what is
-    wrong with its noise, or the prior's P, where that is no covariance.
+    wrong with its noise, or the prior's P, where that is no covariance. singular: likewise, of an R
+    that is a covariance without an inverse, as of a perfect measurement.
     """
 
     def __init__(self, path: Path) -> None:
         """path: named in errors."""
         self.at = -1
         self.unsound: dict[int, str] = {}
+        self.singular: dict[int, str] = {}
         self._path = path
         self._dims: dict[str, int] = {}
         self._charts: dict[str, str] = {}
@@ -125,7 +128,8 @@ class EventReader:
         Raises:
             InputError: A row cannot be an event; of several the first, with its number.
 
-        A noise that is no covariance is in `unsound`, for every event that has it.
+        A noise that is no covariance is in `unsound`, one of a measurement that is singular in
+        `singular`, for every event that has it.
         """
         found: list[Event] = []
         with np.errstate(all="ignore"):  # a number that is too large is refused by itself
@@ -135,7 +139,8 @@ class EventReader:
             own = event.covariance if isinstance(event, Prior) else getattr(event, "noise", None)
             fault = self._faults.get((id(own), isinstance(event, Update)))
             if fault is not None:
-                self.unsound[event.number] = fault[1]
+                kind = self.singular if fault[1].endswith(_IS_SINGULAR) else self.unsound
+                kind[event.number] = fault[1]
         return found
 
     def _event(self, row: Row) -> Event:
@@ -382,7 +387,8 @@ def _faults(
     """Yield index and fault of the matrices of (k, n, n) that are no covariances.
 
     sigmas: (n,) of the errors that each is added to, by its index; none where it is to none.
-    definite: positive definite, else also semidefinite to _NEGATIVE.
+    definite: positive definite, where semidefinite ones are singular; else also semidefinite to
+    _NEGATIVE.
     """
     few = max(1, _IN_CACHE // stack[0].size)
     for start in range(0, len(stack), few):
@@ -393,7 +399,9 @@ def _faults(
             if definite or not _sound_beside(one, sigmas(start + bad)):
                 if _single_sound(one, definite=definite):
                     continue
-                fault = "is not positive definite" if definite else "has a negative eigenvalue"
+                fault = "has a negative eigenvalue"
+                if definite and not skew[bad] and _sound(one, definite=False)[0]:
+                    fault = _IS_SINGULAR
                 yield start + bad, "is not symmetric" if skew[bad] else fault
 
 

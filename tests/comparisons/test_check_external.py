@@ -251,7 +251,7 @@ INCOMPLETE: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
         "covers 64.6 of 85.0 s: it has no poses from 29.8 to 50.2 s",
     ),
     "starts late": (lambda t: t > 20.0, "covers 65.0 of 85.0 s: it begins at 20.2 s"),
-    "holes": (lambda t: t % 20.0 > 5.0, "it begins at 5.2 s, it ends at 79.8 s, it has 3 holes"),
+    "holes": (lambda t: t % 20.0 > 5.0, "it begins at 5.2 s, it ends at 79.8 s, it has 3 gaps"),
 }
 
 

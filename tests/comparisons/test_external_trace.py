@@ -469,6 +469,18 @@ P, EYE, HALF = np.eye(3), np.eye(2), np.eye(2, 3)
 AT: dict[str, Any] = {"point": np.zeros(3), "numbers": 0}
 
 
+def copied_landmark(record: Recorder) -> None:
+    """Two landmarks, an update of both, and a copy of one."""
+    pair(record, np.eye(4, 7, 3), np.eye(4))
+    record.clone("landmark 1", "copy")
+
+
+def removed_pose(record: Recorder) -> None:
+    """Two landmarks, an update of both, and no pose after that."""
+    pair(record, np.eye(4, 7, 3), np.eye(4))
+    record.remove("pose")
+
+
 def pair(record: Recorder, h: Array, r: Array) -> None:
     """Two landmarks, and an update of both."""
     for name in ("landmark 1", "landmark 2"):
@@ -488,16 +500,24 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
     "no after": (lambda r: predict(r, point=P[0]), "event 1: has no after"),
     "no numbers": (lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0]), "has no numbers"),
     "numbers": (
-        lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0], numbers=[1, 2]),
-        "event 1: numbers has 2 numbers, expected 1",
+        lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0], numbers=[1, 2, 3]),
+        "event 1: numbers has 3 numbers, expected 1",
     ),
     "odd": (lambda r: r.update("x", P[0], P, P, **AT), "event 1: has a residual that is not of"),
-    "clone": (lambda r: r.clone("pose", "copy"), "event 1: is a clone, which a planar filter has"),
+    "clone": (
+        copied_landmark,
+        "event 4: copies 'landmark 1'; expected a copy of the pose",
+    ),
+    "pose removed": (removed_pose, "event 4: removes the pose"),
+    "three entries": (
+        lambda r: pair(r, np.eye(3, 7, 3), np.eye(3)),
+        "event 3: has a residual that is not of two entries for each measurement; expected so, or",
+    ),
     "wide": (
         lambda r: r.augment("tree 1", P, P, P, after=P[0], **AT),
         "event 1: block 'tree 1' has 3 entries, expected a point",
     ),
-    "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: numbers has 2 numbers"),
+    "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: has a measurement that"),
     "correlated": (
         lambda r: pair(r, np.eye(4, 7, 3), np.eye(4) + 0.1),
         "event 3: has noise that is correlated between measurements",

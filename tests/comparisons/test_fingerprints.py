@@ -83,7 +83,7 @@ PLANTED = (
     "measurements of landmarks in the map are used twice in one update",
     "a landmark is initialised with the covariance 0.001 m^2 I",
     "cosine and sine are exchanged in the heading's column of F",
-    "the turn stands for the way in the x row",
+    "the turn is used in place of the distance in the x row",
     "steps lead along the heading of plain dead reckoning",
     "the measurements are fused one odometry sample early",
     "the controls' part of Q grows with the interval",

@@ -202,8 +202,8 @@ def test_a_fault_is_not_like_a_filter_and_is_named(
     ("which", "said"),
     [
         (0, "those from before the measurement update"),
-        (1, "those of the next prediction: an array that was recorded is written on"),
-        (2, "those of the next pose: an array that was recorded is written on"),
+        (1, "those of the next prediction: the recorded array was overwritten"),
+        (2, "those of the next pose: the recorded array was overwritten"),
     ],
 )
 def test_covariances_of_another_moment_are_named(

@@ -167,12 +167,12 @@ def test_the_curve_starts_where_something_was_learnt() -> None:
 def test_the_page_has_its_figures() -> None:
     c = sound()
     result = RunReport.build(c)
-    rows = [row for row in run_rows(c, result) if row.group.startswith("Heading learnt")]
-    named = ["standard deviation", "grew fastest", "most by one update"]
+    rows = [row for row in run_rows(c, result) if row.group.startswith("Absolute heading")]
+    named = ["standard deviation", "gained fastest", "largest gain by one update"]
     assert [row.quantity for row in rows] == named
     assert rows[0].value == f"{present(result.spurious_heading).sigma_deg:.3g} deg"
     nothing = present(result.spurious_heading).model_copy(update={"sigma_deg": 1e12})
-    assert [row.value for row in spurious_rows(nothing)] == ["nothing learnt"]
+    assert [row.value for row in spurious_rows(nothing)] == ["none claimed"]
 
 
 def test_nothing_learnt_is_not_drawn() -> None:

@@ -111,7 +111,10 @@ def test_causes_and_departure_say_names(log: Log, run: Comparison) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id,x_m,y_m\noak,1,2\noak,1,2\n", "landmarks.csv:3: id is 'oak' a second time"),
+        (
+            "id,x_m,y_m\noak,1,2\noak,1,2\n",
+            "landmarks.csv:3: id 'oak' appears twice, expected each id once",
+        ),
         ("id,x_m,y_m\noak,1,2\n,1,2\n", "landmarks.csv:3: id is empty"),
         ("id,x_m,y_m\noak,1,x\n", "landmarks.csv:2: 'y_m' is 'x', expected a finite number"),
         ("id,x_m,y_m\noak,1,1e300\n", "landmarks.csv:2: expected at most"),

@@ -557,7 +557,7 @@ def test_nees_of_a_stretch_is_told_where_the_whole_run_hides_it(tmp_path: Path) 
             (0.1, 0.002, 0.3, 0.02),
             "probable: entry 0 of block `pose` and entry 2 of block `pose` (p",
         ),
-        ((0.1, 0.5, 0.3, 0.02), "P0 is too small there, or stands in other rows"),
+        ((0.1, 0.5, 0.3, 0.02), "P0 is too small there, or its rows are in another order"),
         ((0.1, 0.002, 0.3, 0.002), ""),
     ],
     ids=["exchanged", "too small", "sound"],
@@ -565,7 +565,7 @@ def test_nees_of_a_stretch_is_told_where_the_whole_run_hides_it(tmp_path: Path) 
 def test_the_rows_of_p0_that_are_exchanged_are_named(
     tmp_path: Path, first: tuple[float, ...], told: str, *, recorded: bool
 ) -> None:
-    """P0 says 1 of x, and 0.003 of the heading, as if their rows were each other's.
+    """P0 has a sigma of 1 for x, and of 0.003 for the heading, as if their rows were each other's.
 
     One that is too small alone leaves the error of x as improbable there.
     """
@@ -591,7 +591,7 @@ def test_the_rows_of_p0_that_are_exchanged_are_named(
     assert len(found) == bool(told)
     for text in found:
         assert text.startswith("the first error of entry 2 of block `pose` is 0.")
-        assert ", P0 says 0.003: P0 is too small there, or" in text
+        assert ", its sigma in P0 is 0.003: P0 is too small there, or" in text
         assert told in text
 
 
@@ -710,7 +710,7 @@ UNSOUND: dict[str, tuple[Callable[[Array], Array], list[str]]] = {
     "asymmetric": (unset, ["update 11 of sensor `gps`: noise (R) is not symmetric; and 2 more"]),
     "negative": (
         lambda r: r - 2.0 * np.eye(2),
-        ["update 11 of sensor `gps`: noise (R) is not positive definite; and 2 more"],
+        ["update 11 of sensor `gps`: noise (R) has a negative eigenvalue; and 2 more"],
     ),
     "not a number": (
         lambda r: r * np.nan,
