@@ -551,7 +551,7 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
     if found.trace is not None and not _of_settings(found.trace):
         return ""
     poses, *others = sound.parts
-    last = Part(poses.name, *(column[-1:] for column in poses[1:4]))
+    last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
     variance = np.inf if _both_exact(found) else LIKE_VARIANCE
     if not all(part.within(LIKE_SIGMA, variance) for part in (last, *others)):
         return ""
