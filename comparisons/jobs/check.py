@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.agreement import Allowed, Gap
+from comparisons.checks.algebra import HINT as ALGEBRA_HINT
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
@@ -27,6 +29,7 @@ from comparisons.checks.diagnosis.diagnosis import (
     frame_at_start,
     simplest_motion,
 )
+from comparisons.checks.diagnosis.duplicate_landmarks import duplicate_cause, duplicates
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts, paths_beside, undone
 from comparisons.checks.diagnosis.model_differences import PREDICTIONS
 from comparisons.checks.external_agreement import (
@@ -46,10 +49,12 @@ from comparisons.checks.grade import (
     Part,
     likeness,
 )
+from comparisons.checks.model import HINT as MODEL_HINT
 from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
+from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
@@ -149,6 +154,8 @@ class ExternalCheck(Shown):
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
         log: As it was read, where the solution's has other integration or times.
+        reproduced: A filter with the fault that is the first cause equals all of it, so that its
+            other figures follow from that.
         grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
         outcome: `agree`, `disagree` or `unverified`.
         causes: Why the grade is not higher, the most important first.
@@ -176,6 +183,7 @@ class ExternalCheck(Shown):
     departure: Departure | None = None
     consequences: tuple[str, ...] = ()
     log: Log | None = None
+    reproduced: bool = False
 
     def __repr__(self) -> str:
         """Return log, outcome, grade and the causes' names in one line."""
@@ -269,11 +277,16 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
     """Say what a reader of the outcome must know as well, by what the checks find."""
     known = found.known
     verdict = Verdict(outcome=found.outcome, causes=found.causes, remarks=found.remarks)
+    consistency, beside = known.value(ConsistencyFinding), known.remarks
+    if found.reproduced and consistency is not None and consistency.remarks:
+        beside = [one for one in beside if one not in consistency.remarks]
+        beside.append("what is outside its band (consistency) follows from the fault above")
     judged = qualified(
-        replace(verdict, remarks=(*found.remarks, *known.remarks)),
+        replace(verdict, remarks=(*found.remarks, *beside)),
         known.value(TruthGapFinding),
         unchecked="",
         consistency=known.value(ConsistencyFinding),
+        unused=known.value(UnusedPositionsFinding),
         fail_on=(),
     )
     return replace(
@@ -462,7 +475,8 @@ class _Job:
             equal = "equals" if found.grade.value == "equal" else "is like"
             then = f"the estimate {equal} {near.reference.name} ({near.farthest:.2g} sigma)"
         said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
-        return replace(first, causes=(said, *found.causes), remarks=found.remarks)
+        causes = (said, *found.causes)
+        return replace(first, causes=causes, remarks=found.remarks, reproduced=found.reproduced)
 
 
 def _selected(log: Log, found: ExternalCheck) -> Log:
@@ -488,7 +502,7 @@ def _with_departure(found: ExternalCheck) -> ExternalCheck:
         left = departure_from(inside, sound, prepared.log, prepared.timeline)
     if left is None:
         return found
-    said = [] if found.outcome == "agree" else [str(left)]
+    said = [] if found.outcome == "agree" else [left.briefly if found.reproduced else str(left)]
     return replace(found, departure=left, remarks=(*said, *found.remarks))
 
 
@@ -509,12 +523,20 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         return None
     if said := _without_effect(known[0], sound, found):
         return _sound(_saying(said, found), sound, "like")
-    others, follow = found.causes, tuple[str, ...]()
-    if known[0].exact:
+    first, others, follow = known[0], found.causes, tuple[str, ...]()
+    if first.exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
-    if known[0].whole:  # the same poses, landmarks and covariances, so all that differs from sound
+    if first.whole:  # the same poses, landmarks and covariances, so all that differs from sound
+        others = tuple(_following(one) for one in others)
         follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
-    return replace(found, causes=(fault_cause(known, sound), *others), consequences=follow)
+    causes = (fault_cause(known, sound), *others)
+    return replace(found, causes=causes, consequences=follow, reproduced=first.whole)
+
+
+def _following(found: Cause) -> Cause:
+    """A trace's cause beside the fault that explains it: what the trace itself shows stays."""
+    general = found.hint.startswith((ALGEBRA_HINT, MODEL_HINT))
+    return found if not general else replace(found, hint="a consequence of the fault above")
 
 
 def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -> str:
@@ -654,7 +676,7 @@ def check_external(
     expected: RequiredGrade = "like" if given.estimator == "ekf" else "plausible"
     grade = _grade(require or expected, near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
-    known = facts(inside, first, references.clues) if first else []
+    known = _facts(inside, first, references, solution, followed and followed[0])
     smoothed = solution.estimate
     covered = coverage(
         (inside.time_s, inside.pose),
@@ -672,14 +694,10 @@ def check_external(
         progress("trace", 0, 0)
         solved = solution.result, solution.estimate
         traced = check_trace(given, followed, solution.prepared, solved[0].options, solved)
-        grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
-        causes = _with_trace(causes, traced.verdict.causes)
+        grade, causes = _traced(grade, causes, traced, first, solution, inside)
     if covered.short:
         grade = replace(grade, value=None)
-    checked = solution.association_check
-    outcome = outcome_of(
-        grade, verified=verified, association_known=checked is None or checked.verified
-    )
+    outcome = outcome_of(grade, verified=verified, association_known=_associated(solution))
     if covered.short:
         outcome = "disagree"
     if outcome == "unverified":
@@ -726,6 +744,49 @@ def check_external(
         remarks=remarks,
         answers=Answers(_known(solution, traced, judged), CHECKS),
     )
+
+
+def _associated(solution: Solution) -> bool:
+    """Whether the references' association is known: by labels, or beyond doubt."""
+    checked = solution.association_check
+    return checked is None or checked.verified
+
+
+def _facts(
+    given: ExternalEstimate,
+    near: Likeness | None,
+    references: _References,
+    solution: Solution,
+    run: EkfRun | None,
+) -> list[Cause]:
+    """Why the estimate is not like the first reference of its kind. run: of its trace."""
+    if near is None:
+        return []
+    known = facts(given, near, references.clues)
+    twice = duplicates(given, near, solution.log, run)
+    if not twice:
+        return known
+    return [duplicate_cause(twice), *(one for one in known if one.gap != "map")]
+
+
+def _traced(
+    grade: Graded,
+    causes: tuple[Cause, ...],
+    traced: TraceCheck,
+    first: Likeness | None,
+    solution: Solution,
+    inside: ExternalEstimate,
+) -> tuple[Graded, tuple[Cause, ...]]:
+    """The grade and the causes with what a trace shows; first: beside the first reference.
+
+    Right equations of another map than the log's are not like a reference: what is then left to
+    explain is the map.
+    """
+    own = _by_equations(grade, traced, inside, labelled=solution.prepared.labelled)
+    if own is not grade and first is not None and first.unmapped and _associated(solution):
+        causes = tuple(one for one in causes if one.gap in ("association", "map", "coverage"))
+        own = grade
+    return by_trace(own, traced), _with_trace(causes, traced.verdict.causes)
 
 
 def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known:
