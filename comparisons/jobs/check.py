@@ -546,7 +546,8 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
     the map, or the trace differs from the models in more. Where both starts are exact beside what
     one measurement tells, covariances may differ, which they make those of another frame.
     """
-    if not (known.whole and is_setting(known.fault)) or sound.missing or sound.unmapped:
+    alone = known.whole and not known.several and is_setting(known.fault)
+    if not alone or sound.missing or sound.unmapped:
         return ""
     if found.trace is not None and not _of_settings(found.trace):
         return ""
