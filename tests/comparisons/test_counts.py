@@ -90,6 +90,7 @@ def test_landmarks_of_a_check() -> None:
     assert found.agreement.unmatched == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{}, {"delayed": False}, {"capacity": 200}, {"patience": 2}, {"virtual_landmarks": False}],
@@ -97,17 +98,17 @@ def test_landmarks_of_a_check() -> None:
 )
 def test_returns_of_a_map(changes: dict[str, object]) -> None:
     """Each is fused, outside, waiting or lost; all of these are printed."""
-    log = first_seconds(open_log("occupancy-loop"), 25.0)
+    log = first_seconds(open_log("occupancy-loop"), 12.0)
     scans = log.scans
     assert scans is not None
-    until = int(np.searchsorted(scans.time_s, 25.0))
+    until = int(np.searchsorted(scans.time_s, 12.0))
     names = ("time_s", "range_m", "intensity")
     log = replace(log, scans=replace(scans, **{n: getattr(scans, n)[:until] for n in names}))
     config = MapConfig.of(extensions={"dense_maps": {"layers": ["points"], **changes}})
     report = MapReport.of(map_log(log, config))
     returns = report.result.returns
     assert_adds_up(returns.returns, returns.parts())
-    rows = {row.name: row.value for row in report.summary().rows if row.group == "Scanner"}
+    rows = {row.quantity: row.value for row in report.summary().rows if row.group == "Scanner"}
     printed = [int(rows[f"returns {name}"].replace(",", "")) for name in returns.parts()]
     assert sum(printed) == int(rows["returns"].replace(",", ""))
     line = dict(report.summary().lines)["returns"]
