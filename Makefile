@@ -108,8 +108,8 @@ peers: $(VENV)/installed-dev
 	@command -v kf-slam >/dev/null || echo "for MRPT: sudo apt-get install mrpt-apps mrpt-common"
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peers $(if $(ONLY),--only $(ONLY))
 
-# Jobs by the code of a commit (BASE, main if left out) and by the tree's, in turns; what has become
-# slower by more than 10 % is an error. Three to five minutes.
+# Jobs by the code of a commit (BASE; main and the last release if left out) and by the tree's, in turns;
+# what has become slower by more than 10 % is an error. Three to five minutes a commit.
 bench: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bench $(BASE)
 

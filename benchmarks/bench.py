@@ -1,11 +1,12 @@
 """What has become slower than at a commit? Its code and the tree's in turns, by processor time.
 
-    python -m benchmarks.bench [BASE] [--only NAME ...] [--repeat 5]
+    python -m benchmarks.bench [BASE ...] [--only NAME ...] [--repeat 5]
 
-The code of BASE (by default main) is put into build/bench. Each job runs with that and with the
-tree's in processes of their own, by turns: what else the machine does slows both alike, and how
-fast it is does not count. A job is slower where the median of the ratios is above 1 by more than
-the tolerance in two measurements. The exit code is 1 where one is, or fails with the tree's code.
+The bases are by default main and the last release, so that a little with each change does not add
+up unseen. The code of a base is put into build/bench. Each job runs with that and with the tree's,
+in processes of their own, by turns: what else the machine does slows both alike, and how fast it is
+does not count. A job is slower where the median of the ratios is above 1 by more than the tolerance
+in two measurements. The exit code is 1 where one is, or fails with the tree's code.
 """
 
 from __future__ import annotations
@@ -104,22 +105,36 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.bench", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("base", nargs="?", default="main", help="a commit; main if left out")
+    parser.add_argument(
+        "bases", nargs="*", metavar="BASE", help="a commit; main and the last release if left out"
+    )
     parser.add_argument("--only", nargs="+", choices=JOBS, default=list(JOBS), metavar="NAME")
     parser.add_argument("--repeat", type=int, default=REPEAT)
     choices = parser.parse_args()
-    shutil.rmtree(PLACE, ignore_errors=True)
-    try:
-        check_out(choices.base, PLACE)
-    except subprocess.CalledProcessError as error:
-        print(f"bench: {choices.base}: {error.stderr.decode().strip()}", file=sys.stderr)
-        raise SystemExit(2) from None
+    slower = 0
+    for base in choices.bases or ("main", last_release()):
+        shutil.rmtree(PLACE, ignore_errors=True)
+        try:
+            check_out(base, PLACE)
+        except subprocess.CalledProcessError as error:
+            print(f"bench: {base}: {error.stderr.decode().strip()}", file=sys.stderr)
+            raise SystemExit(2) from None
+        print(f"beside {base}:", flush=True)
+        slower |= compare_all(choices.only, _sides, choices.repeat)
+    raise SystemExit(slower)
+
+
+def last_release() -> str:
+    """Return the commit that changed the version last."""
+    words = ("git", "log", "-1", "--format=%h", "-G^version = ", "--", "pyproject.toml")
+    said = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True)
+    return said.stdout.strip()
+
+
+def _sides(name: str) -> tuple[Side, Side]:
+    """Return what runs a job with the tree's code, and with the base's."""
     work = scratch()
-
-    def make(name: str) -> tuple[Side, Side]:
-        return side(JOBS[name], ROOT, work / "tree"), side(JOBS[name], PLACE, work / "base")
-
-    raise SystemExit(compare_all(choices.only, make, choices.repeat))
+    return side(JOBS[name], ROOT, work / "tree"), side(JOBS[name], PLACE, work / "base")
 
 
 if __name__ == "__main__":

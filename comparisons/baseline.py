@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from comparisons.atomic import Kind, begins, write_whole
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.figures import Number, Side
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
@@ -178,7 +178,7 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
         raise InputError(f"{found.log.name}: is of {now_of}, expected {then_of}, as the baseline's")
     if found.log.sha256 != baseline.sha256:
         raise InputError(
-            f"{found.log.name}: is not the log of the baseline ({baseline.log}"
+            f"{found.log.name}: is not the log of the baseline ({shorten(baseline.log)}"
             f"{', another of this name' if found.log.name == baseline.log else ''}): its streams "
             "differ, or slamcheck 0.2 or older saved it; save a new baseline: slamcheck baseline "
             f"save LOG NEW.json{' --estimate PATH' if baseline.of_estimate else ''}"
@@ -213,7 +213,7 @@ def read_baseline(path: Path) -> Baseline:
                 f"{path}: version {version} of slamcheck 0.1, which 0.2 reads; save a new one"
             )
         if version not in (3, 4):
-            raise InputError(f"{path}: version {version}, expected 3 or 4")
+            raise InputError(f"{path}: version {quoted(version)}, expected 3 or 4")
         kept = Baseline.model_validate_json(text)
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None

@@ -19,22 +19,26 @@ from pydantic import (
     Field,
     SerializeAsAny,
     ValidationError,
+    field_validator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from comparisons.documented.row import PRESETS, Preset
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.extension_names import EXTENSIONS
 from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where, renamed_settings
 
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
 Gps = Literal["off", "on", "half"]
 RequiredGrade = Literal["equal", "like", "plausible"]
-FailOn = Literal["disagreement", "consistency", "both", "truth", "association"]
+FailOn = Literal["disagreement", "consistency", "both", "truth", "association", "positions"]
 Needs = Mapping[str, Mapping[str, Any]]
 """Extensions that must take part, with the fields that they must have."""
 
 
+_LARGEST = 2**64 - 1
+"""Of whole numbers in a file of settings."""
 T = TypeVar("T")
 
 
@@ -53,6 +57,14 @@ class Section(BaseModel):
     """A group of settings. Unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
+
+    @field_validator("*")
+    @classmethod
+    def _representable(cls, value: Any) -> Any:
+        """Refuse whole numbers that no file of settings can hold: Python spells no larger ones."""
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            raise PydanticCustomError("too_large", "input should be below 2^64")
+        return value
 
     @classmethod
     def of(cls, /, **fields: Any) -> Self:
@@ -88,12 +100,11 @@ class LogSection(Section):
     )
     topics: tuple[str, ...] | None = setting(
         None,
-        "Topics of a ROS bag to read. Default: per message type, the topic with most messages",
+        "Topics of a ROS bag to read. Default: per message type, the only one",
         Option(
             "--topic",
             JOB,
-            "Topic of a ROS bag to read; repeat it for several. [per message type, the topic "
-            "with most messages]",
+            "Topic of a ROS bag to read; repeat it for several. [per message type, the only one]",
             metavar="NAME",
         ),
     )
@@ -392,7 +403,7 @@ def config_class(name: str) -> type[ExtensionConfig]:
     """Return the class of an extension's settings. Raises InputError for an unknown name."""
     if name not in EXTENSIONS:
         known = ", ".join(EXTENSIONS)
-        raise InputError(f"extensions.{name[:80]}: is unknown, expected one of {known}")
+        raise InputError(f"extensions.{shorten(name, 80)}: is unknown, expected one of {known}")
     found: type[ExtensionConfig] = resolve_name(EXTENSIONS[name])
     return found
 
@@ -506,7 +517,7 @@ def _listed(value: Any) -> Any:
     if isinstance(value, list | tuple):
         if unknown := [one for one in value if one not in known]:
             some = ", ".join(known)
-            raise ValueError(f"fail_on is {shown(unknown[0])}: expected some of {some}")
+            raise ValueError(f"fail_on is {quoted(unknown[0])}: expected some of {some}")
         both = ("disagreement", "consistency")
         value = [word for one in value for word in (both if one == "both" else (one,))]
     return value
@@ -522,7 +533,8 @@ class RunConfig(Configured):
         (),
         "Findings that exit with 1. disagreement: always does; consistency: NEES, "
         "NIS or filter against smoother outside their bands; both: these two; truth: the smoother "
-        "is far from the truth; association: no check of the association was possible",
+        "is far from the truth; association: no check of the association was possible; positions: "
+        "those that nobody has used contradict the optimum, which always does",
         Option(
             "--fail-on",
             JOB,
@@ -614,7 +626,7 @@ class CheckConfig(SolveConfig):
     require: RequiredGrade | None = setting(
         None,
         "Lowest grade that exits with 0. equal: to the reference EKF; like: within 5 % "
-        "of it; plausible: as near to the optimum as that is certain. Default: like where "
+        "of it; plausible: within the optimum's own uncertainty. Default: like where "
         'estimate.toml says estimator = "ekf", else plausible',
         Option(
             "--require",
@@ -722,16 +734,8 @@ def first_fault(error: ValidationError, kind: type[BaseModel], within: str = "")
             return f"{where}.{tag_key}: is missing"
         case "union_tag_invalid":
             known = context["expected_tags"].replace("'", "")
-            return f"{where}.{tag_key} is {shown(context['tag'])}: expected one of {known}"
-    return f"{where} is {shown(fault.get('input'))}: {message[:1].lower()}{message[1:]}"
-
-
-def shown(value: Any) -> str:
-    """A value as it may stand in a one-line error; Python spells no number of 5000 digits."""
-    try:
-        return repr(value)[:80]
-    except ValueError:
-        return "a number of thousands of digits"
+            return f"{where}.{tag_key} is {quoted(context['tag'])}: expected one of {known}"
+    return f"{where} is {quoted(fault.get('input'))}: {message[:1].lower()}{message[1:]}"
 
 
 def _follow(

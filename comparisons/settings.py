@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from comparisons.config import RunConfig, Section, setting_default, shown
-from comparisons.errors import InputError, note
+from comparisons.config import RunConfig, Section, setting_default
+from comparisons.errors import InputError, note, quoted, shorten
 from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.table import parse_toml, read_toml
 from comparisons.options import RENAMED, Flag, below, merge, renamed_settings
@@ -33,7 +33,7 @@ def configure(
     found = {} if file is None else read_toml(file)
     name = job.model_fields["job"].default
     if (other := found.get("job", name)) != name:
-        words = other[:40] if isinstance(other, str) else shown(other)
+        words = shorten(other)
         raise InputError(f"{file}: is a configuration of slamcheck {words}, not of {name}")
     for given, source in ((found, f"{file}: "), (over or {}, "")):
         _check_sections(job, given, source)
@@ -95,9 +95,11 @@ def by_name(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag
                 new = one.values.get(value, value)
         flag = known.get(name.replace("-", "_"))
         if flag is None:
-            raise InputError(f"option {name}: is unknown, expected some of {', '.join(known)}")
+            raise InputError(
+                f"option {shorten(name)}: is unknown, expected some of {', '.join(known)}"
+            )
         if new != value:
-            note(f"{name}={value!r} is now {name}={new!r}")
+            note(f"{name}={quoted(value)} is now {name}={quoted(new)}")
         found.append((flag, new))
     return found
 
@@ -121,7 +123,7 @@ def _check_applies(config: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
         if flag.where is None or value == below(usual, flag.field):
             continue
         if below(config, flag.where.field) != flag.where.value:
-            raise InputError(f"{flag.option} {value} goes with {flag.where.words}")
+            raise InputError(f"{flag.option} {shorten(value)} goes with {flag.where.words}")
 
 
 def _as_now(given: Mapping[str, Any], source: str = "") -> dict[str, Any]:
@@ -146,7 +148,9 @@ def _check_sections(job: type[Section], given: Mapping[str, Any], source: str) -
         sections |= {f"extensions.{name}": value for name, value in extensions.items()}
     for name, value in sections.items():
         if not isinstance(value, Mapping):
-            raise InputError(f"{source}{name} is {shown(value)}: expected a section of keys")
+            raise InputError(
+                f"{source}{shorten(name, 100)} is {quoted(value)}: expected a section of keys"
+            )
 
 
 def _nested(job: type[Section], setting: str) -> dict[str, Any]:
@@ -154,14 +158,17 @@ def _nested(job: type[Section], setting: str) -> dict[str, Any]:
     path, equals, text = setting.partition("=")
     parts = path.strip().split(".")
     if not equals or not all(parts):
-        raise InputError(f"--set {setting}: expected SECTION.KEY=VALUE")
+        raise InputError(f"--set {shorten(setting)}: expected SECTION.KEY=VALUE")
     if parts[0] in EXTENSIONS:
         parts.insert(0, "extensions")
     elif parts[0] not in job.model_fields:
         known = [*(n for n in job.model_fields if n not in ("job", "extensions")), *EXTENSIONS]
-        raise InputError(f"--set {path}: {parts[0]} is unknown, expected one of {', '.join(known)}")
+        raise InputError(
+            f"--set {shorten(path)}: {shorten(parts[0])} is unknown, expected one of "
+            f"{', '.join(known)}"
+        )
     if len(parts) > _MOST_PARTS:
-        raise InputError(f"--set {path[:40]}...: {len(parts)} parts, expected SECTION.KEY=VALUE")
+        raise InputError(f"--set {shorten(path)}: {len(parts)} parts, expected SECTION.KEY=VALUE")
     try:
         value = parse_toml(f"value = {text}")["value"]
     except ValueError:

@@ -46,6 +46,8 @@ _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
 _IMPROBABLE, _PROBABLE = 1e-6, 1e-2
 """Chance of a first error by a prior whose rows are in the wrong order, and by the right one."""
+_NONE = 1e-30
+"""A variance, in whatever unit, that is none: rounding of what is known exactly."""
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
@@ -574,8 +576,10 @@ def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
     """Least and largest generalised eigenvalue of a covariance pair.
 
     (-inf, inf) when `second` is not positive definite or either is not finite: no comparison of
-    such a pair may pass.
+    such a pair may pass. (1, 1) of no entries, as where no direction has a variance.
     """
+    if not len(first):
+        return 1.0, 1.0
     try:
         if len(first) > DENSE:
             return _extremes(first, second)
@@ -608,10 +612,13 @@ def _extremes(first: Array, second: Array) -> tuple[float, float]:
     return 1.0 + float(low), 1.0 + float(high)
 
 
-def units(recorded: Array, expected: Array) -> Array:
-    """Return the standard deviations (n,) that differences are measured in."""
+def units(recorded: Array, expected: Array, least: Array | None = None) -> Array:
+    """Return the standard deviations (n,) that differences are measured in.
+
+    least: (n,) variances; below them it is rounding what there is.
+    """
     variance = np.maximum(expected.diagonal(), 0.0)
     other = np.abs(recorded.diagonal())
-    variance = np.where(variance > 0.0, variance, np.where(other > 0.0, other, 1.0))
-    found: Array = np.sqrt(variance)
+    variance = np.where(variance > _NONE, variance, np.where(other > _NONE, other, 1.0))
+    found: Array = np.sqrt(variance if least is None else np.maximum(variance, least))
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -9,6 +10,8 @@ GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
 _NAMES = {"oracle": "optimum not verified"}
 """Of causes whose key in a result a reader would not understand."""
+_FACT = re.compile(r"; (?![^(]*\))")
+"""Between the facts of a cause's evidence; not within brackets."""
 SETTINGS = "Settings"
 SPENT = ("Wall time", "Processor time")
 """Groups of rows that a page leaves out, for it has tables of its own for them."""
@@ -69,6 +72,11 @@ class Explanation:
     meaning: str
     check: str
     decides: Decides = "verified"
+
+
+def facts(evidence: str) -> list[str]:
+    """Return the facts of a cause's evidence, one by one."""
+    return _FACT.split(evidence)
 
 
 def cause_name(key: str) -> str:

@@ -27,8 +27,14 @@ _MOST_KEYS = 3
 """Of a gtsam.JacobianFactor that Python makes."""
 _LEAST_PIVOT = 1e-5
 """Of a noise's correlation matrix, beyond which it is used by its inverse."""
+_LEAST_LEFT = 1e-7
+"""Of the sigma of a component, which the others of its measurement leave."""
 _NOTHING = 1e-15
 """Eigenvalue of a correlation matrix, relative to the largest."""
+_LEAST = 1e-150
+"""Standard deviation, below which the inverse of all may overflow: it is known."""
+_KNOWN = 1e-9
+"""Of a measurement without noise, relative to what cancels in it: rounding of what is known."""
 
 Terms = dict[int, Array]
 """Matrices by the key of their variable."""
@@ -61,7 +67,7 @@ class EventSmoother:
         self._place(blocks, dims, {key: root}, np.zeros(len(root)))
         self._anchor: tuple[Array, Terms] | None = None
         self._pending: tuple[Blocks, Array, Array] | None = None
-        self._whitened: tuple[Array, Array] | None = None
+        self._whitened: tuple[Array, Array | None] | None = None
 
     def predict(self, blocks: Blocks, f: Array, q: Array | None) -> None:
         """Add e' = F e + w, w ~ N(0, Q), on some blocks. q: None for none."""
@@ -74,13 +80,20 @@ class EventSmoother:
         self._pending = blocks, f, noise
 
     def measure(self, blocks: Blocks, h: Array, r: Array, residual: Array) -> None:
-        """Add residual = H e + v, v ~ N(0, R)."""
+        """Add residual = H e + v, v ~ N(0, R). Along what R has no variance, H e is known."""
         self._flush()
         w = self._inverse_root(r)
+        if w is None:
+            self._measure_exactly(blocks, h, r, residual)
+            return
+        self._fuse(blocks, h, w, residual)
+
+    def _fuse(self, blocks: Blocks, h: Array, w: Array, residual: Array) -> None:
+        """Add w residual = w (H e + v), of which the noise is N(0, I)."""
         rows = w @ h
         for _ in range(2):
             terms = {key: rows @ m for key, m in self._terms(blocks).items()}
-            groups = [np.arange(len(r))]
+            groups = [np.arange(len(w))]
             if len(terms) <= _MOST_KEYS:
                 break
             groups = _rows_by_keys(terms)
@@ -91,6 +104,41 @@ class EventSmoother:
         for group in groups:
             keys = _touched(terms, group) if len(terms) > _MOST_KEYS else terms
             self._add({key: terms[key][group] for key in keys}, b[group])
+
+    def _measure_exactly(self, blocks: Blocks, h: Array, r: Array, residual: Array) -> None:
+        """Fuse what a singular R leaves uncertain, then fix what it says exactly."""
+        sigma = np.sqrt(np.maximum(r.diagonal(), 0.0))
+        scale = np.where(sigma > 0.0, sigma, 1.0)
+        values, axes = np.linalg.eigh(r / np.outer(scale, scale))
+        some = values > _NOTHING * len(values) * max(values[-1], 0.0)
+        if some.any():
+            w = (axes[:, some] / np.sqrt(values[some])).T / scale
+            self._fuse(blocks, h, w, residual)
+        exact = axes[:, ~some].T / scale
+        self._fix(blocks, exact @ h, exact @ residual)
+
+    def _fix(self, blocks: Blocks, rows: Array, values: Array) -> None:
+        """Let rows e = values: of what is uncertain, the rest of the directions goes on.
+
+        Directions that are known already, but for rounding, are left out.
+        """
+        self._collapse()
+        anchor = self._anchor
+        names, dims = tuple(self._state), [dim for dim, _ in self._state.values()]
+        (whole,), (used,) = self._terms(names).values(), self._terms(blocks).values()
+        gross = np.abs(rows) @ np.abs(used).sum(axis=1)
+        unit = np.where(gross > 0.0, gross, 1.0)
+        left, singular, right = np.linalg.svd(rows @ used / unit[:, None])
+        count = int((singular > _KNOWN).sum())
+        off = (values - rows @ self._shifts(blocks)) / unit
+        x = right[:count].T @ ((left.T @ off)[:count] / singular[:count])
+        free, shift = right[count:].T, self._shifts(names)
+        self._begin()
+        new = self._variable(free.shape[1])
+        if anchor is not None:
+            ((_, then),) = anchor[1].items()
+            self._anchor = anchor[0] + then @ x, {new: then @ free}
+        self._place(names, dims, {new: whole @ free}, shift + whole @ x)
 
     def augment(self, name: str, blocks: Blocks, g: Array, noise: Array) -> None:
         """Add a block e_new = G e + v, v ~ N(0, noise)."""
@@ -136,7 +184,9 @@ class EventSmoother:
             mean, terms = self._anchor
             ((key, now),) = state.items()
             then = terms[key]
-            gain = then @ np.linalg.pinv(now, rcond=1e-12)
+            gain = np.zeros((len(then), len(now)))
+            if np.abs(now).max(initial=0.0) > _LEAST:
+                gain = then @ np.linalg.pinv(now, rcond=1e-12)
             left = then - gain @ now
             link = Link(gain, mean, shift, left @ left.T)
         self._anchor = shift, state
@@ -220,11 +270,10 @@ class EventSmoother:
     def _shifts(self, blocks: Blocks) -> Array:
         return np.concatenate([self._shift[name] for name in blocks])
 
-    def _inverse_root(self, r: Array) -> Array:
-        """L^-1 of R = L L^T, which mostly is the same as before."""
+    def _inverse_root(self, r: Array) -> Array | None:
+        """L^-1 of R = L L^T, which mostly is the same as before; None of a singular R."""
         if self._whitened is None or self._whitened[0] is not r:
-            root = np.linalg.cholesky(r)
-            self._whitened = r, _solve_lower(root, np.eye(len(r)))
+            self._whitened = r, _whitening(r)
         return self._whitened[1]
 
     def _collapse(self) -> Array:
@@ -284,6 +333,17 @@ def square_root(covariance: Array) -> Array:
     some = values > _NOTHING * max(values[-1], 0.0)
     root: Array = sigma[:, None] * axes[:, some] * np.sqrt(values[some])
     return root
+
+
+def _whitening(r: Array) -> Array | None:
+    """Return L^-1 of R = L L^T; None where a component is known from others, but for rounding."""
+    try:
+        root = np.linalg.cholesky(r)
+    except np.linalg.LinAlgError:
+        return None
+    if (root.diagonal() <= _LEAST_LEFT * np.sqrt(r.diagonal())).any():
+        return None
+    return _solve_lower(root, np.eye(len(r)))
 
 
 def _inverse_root(covariance: Array) -> Array | None:

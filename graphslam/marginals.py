@@ -9,13 +9,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from graphslam.arrays import Array, Index, Marginal
+from graphslam.clique_covariances import variable_covariances
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
 from graphslam.layout import POINT, Layout
 
 PARTS_BEYOND = 2000
 """Numbers to be kept beyond which a graph is eliminated in parts; see elimination."""
-POSES_AT_ONCE = 2000
-"""Poses after which the marginals that gtsam caches are dropped: 40 kB each at 2,000 landmarks."""
 _ROUNDING = 1e-13
 _KNOWN = "the last pose or a landmark is known exactly in some direction, and has no covariance"
 _UNFIXED = "the measurements do not fix the last pose and every landmark"
@@ -186,17 +185,10 @@ def pose_covariances(
     """
     try:
         tree = eliminate(graph.linearize(values))
-        root = np.empty((len(headings_rad), 3, 3))
-        for first in range(0, len(root), POSES_AT_ONCE):
-            part = root[first : first + POSES_AT_ONCE]
-            keys = range(POSE_KEY + first, POSE_KEY + first + len(part))
-            # By QR: `marginalCovariance` has but Cholesky, which fails a microsecond's motion.
-            alone = [tree.marginalFactor(key, gtsam.EliminateQR) for key in keys]
-            part[:] = [one.R() for one in alone]  # views, of factors that must live
-            tree.deleteCachedShortcuts()
-        inverse = np.linalg.inv(root)
+        blocks = variable_covariances(tree)
     except (RuntimeError, np.linalg.LinAlgError) as error:
         raise SingularProblemError("the measurements do not fix every pose") from error
-    local = inverse @ inverse.transpose(0, 2, 1)
+    local = np.array([blocks[POSE_KEY + k] for k in range(len(headings_rad))])
     turn = to_tangent(headings_rad).transpose(0, 2, 1)
-    return turn @ local @ turn.transpose(0, 2, 1)
+    result: Array = turn @ local @ turn.transpose(0, 2, 1)
+    return result

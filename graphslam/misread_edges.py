@@ -12,14 +12,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import betainc
 
 from graphslam.arrays import Array
 from graphslam.extreme_edges import READINGS, extreme_edges, meant
+from graphslam.goodness_of_fit import far_less
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
 from graphslam.optimisers import levenberg_marquardt, optimise, polish
-from graphslam.optimum import EXTREME, ChiSquareTest, chi_square_test
+from graphslam.optimum import ChiSquareTest, chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.search import relaxed_values
 from graphslam.sensor_frame import mount
@@ -58,7 +58,7 @@ def misread_edges(
     if verified and not test.extreme:
         return None
     found = _fitted(_inverted(problem), (0.0, min(test.chi2, test.upper)), test)
-    if found is not None and _far_less(found, test):
+    if found is not None and far_less(found, test):
         return EdgeReading("the loop closures fit when inverted", found)
     for words, other in _readings(problem, test) if test.extreme else ():
         found = _fitted(other, (test.lower, test.upper), test)
@@ -110,14 +110,6 @@ def _fitted(
     except RuntimeError:
         return None
     return replace(test, chi2=chi2) if lower <= chi2 <= upper else None
-
-
-def _far_less(found: ChiSquareTest, test: ChiSquareTest) -> bool:
-    """Whether no chance makes one optimum of the same weights so much lower than another."""
-    if not found.chi2 < test.chi2:
-        return False
-    half = 0.5 * test.dof
-    return bool(betainc(half, half, found.chi2 / (found.chi2 + test.chi2)) <= EXTREME)
 
 
 def _optimum(problem: SlamProblem) -> float:

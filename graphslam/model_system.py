@@ -42,13 +42,22 @@ class RelationPoints:
 
     row: (R,) in the problem; a measurement that was fused in parts counts once a part. weight:
     (R,) share of its information. first: (R, 3), the pose, or the landmark that another one is.
-    second: (R, w), the landmark.
+    second: (R, w), the landmark. entries: (R, w) one for each entry of the measurement that is
+    used there, else zero; None where all are.
     """
 
     row: Index
     weight: Array
     first: Array
     second: Array
+    entries: Array | None = None
+
+    def part(self, rows: slice) -> RelationPoints:
+        """Return some of them."""
+        entries = None if self.entries is None else self.entries[rows]
+        return RelationPoints(
+            self.row[rows], self.weight[rows], self.first[rows], self.second[rows], entries
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +68,7 @@ class LinearisationPoints:
     arrived: (K, 3) pose predicted on arrival; for the first, the prior.
     measurements: of landmarks, by their kind. merges: of landmarks that are one, by their kind.
     For G uses of positions: position: (G,) row in the problem, position_weight: (G,) share of its
-    information, position_pose: (G, 3).
+    information, position_pose: (G, 3), position_entries: (G, 2) as of RelationPoints.
     own_axes: the filter fuses measurements as points in the vehicle's axes, where they are linear,
     not as range and bearing; F2 then does, too.
     """
@@ -72,6 +81,7 @@ class LinearisationPoints:
     position_weight: Array
     position_pose: Array
     own_axes: bool = False
+    position_entries: Array | None = None
 
 
 class _Model(NamedTuple):
@@ -84,6 +94,8 @@ class _Model(NamedTuple):
     def at(self, points: RelationPoints) -> LinearRelations:
         """Linearised at these."""
         a, c, b = self.rows(points)
+        if (used := points.entries) is not None:
+            a, c, b = used[:, :, None] * a, used[:, :, None] * c, used * b
         return LinearRelations(
             first=self.first[points.row],
             second=self.second[points.row],
@@ -209,8 +221,7 @@ def _in_blocks(rows: Callable[[RelationPoints], _Rows], at: RelationPoints) -> _
     if len(at.row) <= BLOCK:
         return rows(at)
     parts = [
-        rows(RelationPoints(*(column[i : i + BLOCK] for column in vars(at).values())))
-        for i in range(0, len(at.row), BLOCK)
+        rows(at.part(part)) for part in (slice(i, i + BLOCK) for i in range(0, len(at.row), BLOCK))
     ]
     a, c, b = (np.concatenate(column) for column in zip(*parts, strict=True))
     return a, c, b
@@ -222,6 +233,8 @@ def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
     first = 2 * np.arange(len(at.row))
     factors = measurement_factors(first, first + 1, problem.z[at.row], sigma)
     rows = _linearised_pairs(factors, at.first, at.second, POINT)
+    if at.entries is not None:
+        rows = rows[:, ::-1]  # gtsam's have the bearing first
     return rows[:, :, :3] @ to_tangent(at.first[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
 
 
@@ -286,6 +299,10 @@ def _positions(problem: SlamProblem, points: LinearisationPoints) -> LinearPosit
     residual = problem.position[points.position] - points.position_pose[:, :2] - arm
     covariance = problem.position_covariance[points.position]
     covariance = covariance / points.position_weight[:, None, None]
+    if (used := points.position_entries) is not None:
+        jacobian, residual = used[:, :, None] * jacobian, used * residual
+        off = used[:, :, None] * used[:, None, :]
+        covariance = np.where(off > 0.0, covariance, np.eye(2))
     return LinearPositions(
         problem.position_pose[points.position],
         points.position_pose,

@@ -94,15 +94,18 @@ class Judgement:
         return f"<{self.title}: {self.outcome}{causes and f' ({causes})'}>"
 
     def lines(self) -> list[str]:
-        """Return verdict, first cause and the report's folder; pytest cuts what is long."""
-        found, reported = self.result, ""
-        if grade := getattr(found, "grade", None):
-            reported = f", grade {grade}, required {getattr(found, 'required', None)}"
-        lines = [f"{self.title}: {found.verdict}{reported}"]
+        """Return the first cause, the verdict and the report's folder; pytest cuts what is long."""
+        from comparisons.report.terminal import in_short
+        from comparisons.words import cause_name
+
+        found, grade, lines = self.result, "", list[str]()
+        if value := getattr(found, "grade", None):
+            grade = f", grade {value}, required {getattr(found, 'required', None)}"
         for cause in found.causes[:1]:
-            lines += [f"{cause.gap}: {cause.evidence}", f"  {cause.hint}"]
-        if others := [cause.gap for cause in found.causes[1:]]:
-            lines.append(f"more causes: {', '.join(others)}")
+            lines += [in_short(cause), f"  hint: {cause.hint}"]
+        lines.append(f"{self.title}: {found.verdict}{grade}")
+        if others := [cause_name(cause.gap) for cause in found.causes[1:]]:
+            lines.append(f"also: {', '.join(others)}")
         return [*lines, f"report: {self.shown}"]
 
     def write_report(self) -> str:
@@ -151,7 +154,8 @@ def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str]
     outcome = left if isinstance(left, Outcome) else right
     if not isinstance(outcome, Outcome):
         return None
-    return [f"{left!r} {op} {right!r}", *outcome.of.lines()]
+    first, *lines = outcome.of.lines()
+    return [f"{left!r} {op} {right!r}: {first}", *lines]
 
 
 @pytest.hookimpl(hookwrapper=True, tryfirst=True)  # `wrapper` would stop pytest 7 at its start
@@ -249,8 +253,9 @@ def slam_baseline(
         changes = compare_with(kept, found.result)
         broken = [f"broken: {change}" for change in changes if not change.holds]
         if broken:
-            first = f"{file}: {len(broken)} of {len(changes)} figures are worse"
-            pytest.fail("\n".join([first, *found.lines()[:-1], *broken, f"report: {found.shown}"]))
+            *lines, report = found.lines()
+            lines.append(f"{file}: {len(broken)} of {len(changes)} figures are worse")
+            pytest.fail("\n".join([*lines, *broken, report]))
         return found
 
     return compare
@@ -273,11 +278,11 @@ def _judge(
     title = log.name
     checked: object
     if isinstance(config, CheckConfig):
-        from comparisons.estimates.external import read_external
         from comparisons.jobs.check import check
+        from comparisons.pipeline.read import read_estimate
 
         title += f", estimate {config.estimate}"
-        given = read_external(Path(config.estimate), config.times, config.trace)
+        given = read_estimate(config)
         checked = check(log, given, config, solver=partial(_solved, kept))
     else:
         from comparisons.jobs.run import compare

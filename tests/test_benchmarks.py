@@ -251,7 +251,7 @@ def test_bench_compares_with_a_commit_checked_out(
             bench.main()
         assert left.value.code in code
     printed = capsys.readouterr()
-    assert re.match(r"start: \d+\.\d+ s, [+-]\d+ % ", printed.out)
+    assert re.search(r"(?m)^start: \d+\.\d+ s, [+-]\d+ % ", printed.out)
     assert "bench: no-such-commit: " in printed.err
 
 

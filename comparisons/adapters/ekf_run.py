@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.shown import Brief
 from comparisons.trace.events import Sensor
 from ekf_reference.core.ekf import Ekf, PoseReading
-from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState
@@ -84,12 +85,36 @@ class EkfRun(Brief):
         """What the filter fuses, with the components of one measurement."""
         point = ("forward", "left") if self.own_axes else ("range", "bearing")
         pose = ("forward", "left", "heading")
-        return {
+        found = {
             "measurements": Sensor(None, point),
             "positions": Sensor(None, ("east", "north")),
             "scan landmarks": Sensor(None, pose),
             "merges": Sensor(None, pose),
         }
+        for kind in self.single_entries:
+            sensor = "positions" if kind is None else "measurements"
+            names = found[sensor].components
+            found |= {f"{name} of {sensor}": Sensor(None, (name,)) for name in names}
+        return found
+
+    @cached_property
+    def single_entries(self) -> dict[LandmarkKind | None, Array]:
+        """Which entries of measurements, and positions, were used, where some were not.
+
+        (M, 2) by kind, as of MeasurementRecords.
+        """
+        uses = {POINT: self.trace.measurements[POINT], None: self.trace.positions}
+        found = {kind: records.entries for kind, records in uses.items()}
+        return {kind: entries for kind, entries in found.items() if not entries.all()}
+
+    def sensor_of(self, sensor: str, entry: int) -> str:
+        """Return the name of one entry of a sensor, where it is fused alone.
+
+        Args:
+            sensor: Its name.
+            entry: Of its measurement.
+        """
+        return f"{self.sensors[sensor].components[entry]} of {sensor}"
 
     @property
     def pose_landmark_places(self) -> Array:

@@ -64,6 +64,21 @@ NearestFirstEkf = in_order(lambda z, label: np.argsort(z[:, 0], kind="stable"))
 FarthestFirstEkf = in_order(lambda z, label: np.argsort(-z[:, 0], kind="stable"))
 
 
+class ScalarEkf(SequentialEkf):
+    """The EKF that updates by the entries of a measurement, one after the other."""
+
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        model = self.models[seen.kind]
+        for row in rows.tolist():
+            for entry in range(seen.kind.width):
+                local = self.state.map_of(landmark_indices[[row]], seen.kind)
+                expected, *parts = model.predict(local.pose, local.landmark)
+                innovation = model.innovation(seen.z[[row]], expected).ravel()
+                noise = seen.noise[row, entry, entry] * np.eye(1)
+                jacobian = stack(*parts)[[entry]]
+                self.state.update(local.columns, jacobian, innovation[[entry]], noise)
+
+
 class NewFirstEkf(Ekf):
     """The EKF that initialises new landmarks at the predicted pose, before it updates.
 
@@ -93,7 +108,7 @@ class NewFirstEkf(Ekf):
 
 
 class NewFirstSequentialEkf(NewFirstEkf):
-    """The same, updating by one landmark after the other."""
+    """The same, with sequential (one landmark at a time) updates."""
 
     def parts(self, rows: Index) -> Iterable[Index]:
         """Return each row alone."""

@@ -84,8 +84,20 @@ def measurement_points(
             np.concatenate([r.weight for r in both]),
             as_headings(pose, step),
             np.concatenate([r.landmark for r in both]),
+            used_entries(used, len(both[1].step)),
         )
     return points
+
+
+def used_entries(used: MeasurementRecords, more: int = 0) -> Array | None:
+    """Return which entries of measurements (M, r) were used, before more that are whole.
+
+    None where all were.
+    """
+    entries = used.entries
+    if entries.all():
+        return None
+    return np.vstack((entries, np.ones((more, entries.shape[1]))))
 
 
 def merge_points(trace: TraceArrays) -> dict[LandmarkKind, RelationPoints]:

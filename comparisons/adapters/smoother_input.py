@@ -16,7 +16,12 @@ from comparisons.adapters.motion import (
     least_eigenvalues,
     motion_samples,
 )
-from comparisons.adapters.recorded import measurement_points, merge_points, recorded
+from comparisons.adapters.recorded import (
+    measurement_points,
+    merge_points,
+    recorded,
+    used_entries,
+)
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
@@ -166,6 +171,7 @@ def _points(problem: SlamProblem, run: EkfRun) -> LinearisationPoints:
         position_weight=trace.positions.weight,
         position_pose=_as_headings(run, trace.positions.pose, trace.positions.step),
         own_axes=run.own_axes,
+        position_entries=used_entries(trace.positions),
     )
 
 

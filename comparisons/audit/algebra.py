@@ -22,6 +22,7 @@ from comparisons.audit.faults import (
     Apply,
     KnownFault,
     Remembering,
+    corrects_otherwise,
     digits,
     families,
     known_faults,
@@ -80,7 +81,14 @@ _SLIGHT = 1e-3
 """Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
-_OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
+_ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-7
+"""Of the variance before an update: what is left by one that tells nearly all; of what cancels in
+it, what is left by one that tells all, and the unit in which that is measured, for it is rounding.
+"""
+_NOTHING = 1e-30
+"""A variance, in whatever unit, that is rounding of nothing."""
+_UNTOLD = "and the covariance is compared with nothing: record the gains"
+_OF_EVENTS = ("noise", "use", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
@@ -136,7 +144,8 @@ class AlgebraCheck:
     """Goes through events, the prior first, and keeps what it finds.
 
     replay: the recursion. sound: no snapshot was wrong; optimal: no gain was other than Kalman's.
-    gains: how many gains and corrections were compared with Kalman's. known: the recursion stands
+    gains: how many gains and corrections were compared with Kalman's. unlike: how many of them are
+    others. known: the recursion stands
     for what the filter holds; not so from a noise that is no covariance to the next whole snapshot.
     """
 
@@ -146,7 +155,7 @@ class AlgebraCheck:
         """tolerance: what rounding explains, in standard deviations."""
         self.tolerance = tolerance
         self.sound = self.optimal = self.known = True
-        self.gains = 0
+        self.gains = self.unlike = 0
         self._known: set[str] = set()
         self._searched = 0
         self._broken: set[str] = set()
@@ -157,8 +166,11 @@ class AlgebraCheck:
         self._first: list[Event] = []
         self._recent: deque[Event] = deque(maxlen=_REMEMBERED)
         self._unnamed = 0
+        self._open: dict[int, Update] = {}
+        self._rounding: Array | None = None
         self._resets = _Resets()
         self._last: Event
+        self._since = "the prior"
         self._numbers: dict[str, Array] = {}
         self._proposed = False
 
@@ -176,6 +188,7 @@ class AlgebraCheck:
         self._resets.take(event)
         if isinstance(event, Snapshot):
             self._snapshot(event)
+            self._since = f"the snapshot at event {event.number}"
             return None
         self._last = event
         if isinstance(event, Prior):
@@ -188,7 +201,10 @@ class AlgebraCheck:
             if len(self._kept) > MOST_KEPT:
                 self._start = None
         before = self.replay.covariance
+        self._carry_rounding(event)
         fused = self.replay.apply(event)
+        if fused is not None:
+            self._note_known(before, fused)
         if not self.known:
             return None
         if isinstance(event, Update) and event.used and fused is not None:
@@ -225,6 +241,7 @@ class AlgebraCheck:
 
     def end(self) -> None:
         """Accept what was found since the last snapshot, and of the trace as a whole."""
+        self._note_gains(_UNTOLD)
         self._confirm(None)
         if self._resets.all_nothing:
             text = f"all resets are the identity, though {self._resets.largest:.2g} is corrected "
@@ -259,11 +276,15 @@ class AlgebraCheck:
         if event.gain is None and event.correction is None:
             return
         self.gains += 1
-        sigma: Array = np.sqrt(np.maximum(self.replay.covariance.diagonal(), 0.0))
         layout = self.replay.layout
+        least = 0.0 if self._rounding is None else self._rounding
+        sigma: Array = np.sqrt(np.maximum(self.replay.covariance.diagonal(), least))
         unlike = check_gain(event, fused, sigma, layout, self.tolerance)
         if unlike:
+            self.unlike += 1
             self.note_precision(event.number, event.gain, event.correction)
+            if event.gain is None:
+                self._open[event.number] = event
         for one in unlike:
             what = (self._name(event, before, one) if one.kind else None) or one.what
             text = f"{name_of(event)} {what}"
@@ -273,6 +294,31 @@ class AlgebraCheck:
             )
             kind = one.kind if what == one.what and one.kind else what
             self._pending.append((finding, kind))
+        if unlike:
+            self._growth(event, before, fused)
+
+    def _growth(self, event: Update, before: Array, fused: Fused) -> None:
+        """Name a gain by which an update makes the estimate less certain. before: P before it.
+
+        What a correction leaves of the error of what is measured is I - H K: where an eigenvalue
+        of it is beyond one, it makes the error larger, and with each such update more so.
+        """
+        gain, p = event.gain, self.replay.covariance
+        if gain is None or not np.isfinite(p).all():
+            return
+        was, now, layout = before.diagonal(), p.diagonal(), self.replay.layout
+        unit = np.maximum(was, 0.0 if self._rounding is None else self._rounding)
+        grown = now > was + self.tolerance * unit + _NOTHING
+        if not grown.any():
+            return
+        left = np.eye(len(event.noise)) - event.jacobian @ gain[layout.columns(event.blocks)]
+        factor = float(np.abs(np.linalg.eigvals(left)).max()) if np.isfinite(left).all() else 0.0
+        names = tuple(name for name in layout.dims if grown[layout.entries(name)].any())
+        text = f"{name_of(event)} makes {', '.join(names)} less certain by its gain"
+        if fault := factor > 1.0 + self.tolerance:
+            text += f", which leaves {factor:.3g} times the error of what is measured: it diverges"
+        finding = Finding("gain", fault, text, event.number, sensor=event.sensor, blocks=names)
+        self._pending.append((finding, f"less certain {fault}"))
 
     def _name(self, event: Update, before: Array, unlike: Unlike) -> str | None:
         """Say of what a gain or a correction is, if it is known. before: P before the update."""
@@ -313,12 +359,17 @@ class AlgebraCheck:
                 self.replay.covariance, self.known = 0.5 * (recorded + recorded.T), True
                 self._restart()
             return
-        wrong = self._differs(recorded, right)
+        if self._open and not whole:
+            return  # what the gains have led to is told by the next one of the whole state
+        least = self._least(snapshot.blocks)
+        wrong = self._differs(recorded, right, least)
         if wrong and self._start is not None:
-            wrong = self._differs_from_before(self._start, recorded, at)
+            wrong = self._differs_from_before(self._start, recorded, at, least)
+        if self._open and self._is_of_other_gains(recorded):
+            wrong = False
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
-            slight = bool(apart(recorded, right).max() < _SLIGHT)
-            self._localise(snapshot, -1.0 if slight else 0.0)
+            slight = bool(apart(recorded, right, least).max() < _SLIGHT)
+            wrong = self._localise(snapshot, -1.0 if slight else 0.0)
         else:
             self._confirm(None)
             # What an earlier error has made invalid is no second one.
@@ -332,12 +383,53 @@ class AlgebraCheck:
         if whole or self._start is not None:
             self._restart(recorded if whole else None)
 
-    def _differs(self, recorded: Array, right: Array, rounding: float = 0.0) -> bool:
+    def _note_known(self, before: Array, fused: Fused) -> None:
+        """Note entries of which an update leaves nothing but rounding. before: P before it."""
+        was, now = before.diagonal(), self.replay.covariance.diagonal()
+        if not (now <= _ALL_BUT * was).any():
+            return
+        # What cancels in P - K S K^T is as large as this, more than P where K is.
+        spread = np.sqrt(np.maximum(fused.spread.diagonal(), 0.0))
+        size = np.maximum(was, (np.abs(fused.gain) @ spread) ** 2)
+        known = now <= _VANISHED * size
+        old = np.zeros(len(was)) if self._rounding is None else self._rounding
+        self._rounding = np.where(known, np.maximum(_BESIDE * size, old), old)
+
+    def _carry_rounding(self, event: Event) -> None:
+        """Carry on what is rounding to where an event leads it."""
+        old, layout = self._rounding, self.replay.layout
+        if old is None:
+            return
+        match event:
+            case Predict() | Reset():
+                at = layout.columns(event.blocks)
+                old[at] = (np.abs(event.jacobian) @ np.sqrt(old[at])) ** 2
+            case Augment():
+                new = (np.abs(event.jacobian) @ np.sqrt(old[layout.columns(event.blocks)])) ** 2
+                self._rounding = np.concatenate((old, new))
+            case Clone():
+                self._rounding = np.concatenate((old, old[layout.entries(event.source)]))
+            case Remove():
+                stays = np.ones(len(old), dtype=bool)
+                for name in event.blocks:
+                    stays[layout.entries(name)] = False
+                self._rounding = old[stays]
+
+    def _least(self, blocks: Blocks) -> Array | None:
+        """(n,) variances of blocks below which there is nothing but rounding."""
+        if self._rounding is None:
+            return None
+        return self._rounding[self.replay.layout.columns(blocks)]
+
+    def _differs(
+        self, recorded: Array, right: Array, least: Array | None, rounding: float = 0.0
+    ) -> bool:
         """Whether two covariances are apart by more than the tolerance, along any direction.
 
-        rounding: along any direction, in products of two sigmas, if it is more than usual.
+        least: variances that are rounding. rounding: along any direction, in products of two
+        sigmas, if it is more than usual.
         """
-        scale = np.outer(unit := units(recorded, right), unit)
+        scale = np.outer(unit := units(recorded, right, least), unit)
         off = (recorded - right) / scale
         largest = float(np.abs(off).max())
         if not largest <= self.tolerance:
@@ -350,7 +442,9 @@ class AlgebraCheck:
         off = 0.5 * (off + off.T)
         return not all(_definite(allowed + sign * off) for sign in (1.0, -1.0))
 
-    def _differs_from_before(self, start: Replay, recorded: Array, at: slice | Index) -> bool:
+    def _differs_from_before(
+        self, start: Replay, recorded: Array, at: slice | Index, least: Array | None
+    ) -> bool:
         """Whether a snapshot differs from what the events make of the one before, as recorded.
 
         Where it does not, what it differs by was rounding there, and the recursion goes on so.
@@ -361,11 +455,68 @@ class AlgebraCheck:
                 again.apply(event)
                 other.apply(event)
             right = again.covariance[at][:, at]
-            forms = float(apart(right, other.covariance[at][:, at]).max())
-        if self._differs(recorded, right, _FORMS * forms):
+            forms = float(apart(right, other.covariance[at][:, at], least).max())
+        if self._differs(recorded, right, least, _FORMS * forms):
             return True
         self.replay.covariance = again.covariance
         return False
+
+    def _tells_gains(self) -> bool:
+        """Whether corrections tell the gains that are not recorded, with a snapshot of all.
+
+        That of a scalar measurement does; of others that of the last event before the snapshot.
+        """
+        last = self._kept[-1].number if self._kept else None
+        return self._start is not None and all(
+            len(update.residual) == 1 or number == last for number, update in self._open.items()
+        )
+
+    def _is_of_other_gains(self, recorded: Array) -> bool:
+        """Whether a snapshot of all is that of gains which are told by their corrections alone.
+
+        A gain K' has to the correction K' r the covariance P' of the last update if, with Kalman's
+        K and P, P' - P = (K' - K) S (K' - K)^T, which is d d^T / (r^T S^-1 r), d = (K' - K) r, and
+        what is semidefinite and of one rank less than r has entries.
+        """
+        if self._start is None or not self._tells_gains():
+            return False
+        again, last, rank, beyond = self._start.copy(), self._kept[-1], 0, None
+        with np.errstate(all="ignore"):
+            for event in self._kept:
+                update = self._open.get(event.number)
+                fused = again.apply(event if update is None else _implied(update))
+                if update is not None and event is last and fused is not None:
+                    rank, beyond = len(update.residual) - 1, _beyond(update, fused)
+            least = self._least(tuple(again.layout.dims))
+            unit = units(recorded, again.covariance, least)
+            off = (recorded - again.covariance) / np.outer(unit, unit)
+            if rank and beyond is not None:
+                off -= np.outer(beyond / unit, beyond / unit)
+        if not np.isfinite(off).all():
+            return False
+        allowed = self.tolerance * max(1.0, float(np.abs(off).max()))
+        values = np.linalg.eigvalsh(0.5 * (off + off.T))
+        known = values[: len(values) - rank] if rank < len(values) else values[:0]
+        agrees = bool(values[0] >= -allowed and (known <= allowed).all())
+        if agrees:
+            self.replay.mean = again.mean
+            self._allow(recorded, "with which the covariance agrees")
+        return agrees
+
+    def _allow(self, recorded: Array, tail: str) -> None:
+        """Accept that corrections are of gains that are not recorded; go on from a snapshot."""
+        self._note_gains(tail)
+        self.replay.covariance = 0.5 * (recorded + recorded.T)
+
+    def _note_gains(self, tail: str) -> None:
+        """Name the corrections that are not of Kalman's gain, where none is recorded."""
+        self._pending = [one for one in self._pending if one[0].event not in self._open]
+        for event in self._open.values():
+            text = f"{name_of(event)} corrects by another gain than Kalman's, {tail}"
+            finding = Finding("gain", False, text, event.number, sensor=event.sensor)
+            self.add(finding, f"not recorded, {tail}")
+            self.optimal = False
+        self._open = {}
 
     def _restart(self, recorded: Array | None = None) -> None:
         """Begin an interval between snapshots. recorded: the snapshot, if it is of all blocks."""
@@ -373,7 +524,7 @@ class AlgebraCheck:
         self._recent.extend(kept[-_REMEMBERED:])
         if len(self._first) < _REMEMBERED:
             self._first += kept[:_REMEMBERED]
-        self._start, self._kept = self.replay.copy(), []
+        self._start, self._kept, self._open = self.replay.copy(), [], {}
         if recorded is not None:
             self._start.covariance = 0.5 * (recorded + recorded.T)
 
@@ -381,13 +532,14 @@ class AlgebraCheck:
         """Add that a covariance is invalid. cause: what is known of where it became so."""
         number = snapshot.number
         cause = cause or Finding("covariance", True, "", number)
-        for what in self._invalidity(snapshot.covariance):
+        for what in self._invalidity(snapshot):
             text = f"the covariance at event {number} {what}"
             self.add(replace(cause, check="covariance", text=text), what[:12])
 
-    def _invalidity(self, p: Array) -> list[str]:
+    def _invalidity(self, snapshot: Snapshot) -> list[str]:
         """Symmetry and definiteness; a covariance may be singular, as of a clone."""
-        unit = units(p, p)
+        p = snapshot.covariance
+        unit = units(p, p, self._least(snapshot.blocks))
         scaled = p / np.outer(unit, unit)
         skew = float(np.abs(scaled - scaled.T).max())
         least = _least(0.5 * (scaled + scaled.T), -self.tolerance)
@@ -470,25 +622,34 @@ class AlgebraCheck:
             text = f"the filter is in single precision: audit it with --tolerance {_SINGLE:g}"
             self.add(Finding("precision", False, text, number), "single")
 
-    def _localise(self, snapshot: Snapshot, weight: float) -> None:
-        """Say where and how a snapshot became wrong. weight: negative where that is slight."""
+    def _localise(self, snapshot: Snapshot, weight: float) -> bool:
+        """Say where and how a snapshot became wrong. weight: negative where that is slight.
+
+        Return False where it is not: of gains that are not recorded nothing is known.
+        """
         if self.sound:
             self.note_precision(snapshot.number, snapshot.covariance)
+        if self._start is None and self._open:
+            self._allow(snapshot.covariance, _UNTOLD)
+            return False
         if self._start is None or self._searched > MOST_SEARCHED:
             self._pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
             self.add(Finding("algebra", True, text, snapshot.number), "unknown")
             self._invalid(snapshot)
-            return
+            return True
         start = self._remembering(self._start)
         cause = localise(start, self._kept, snapshot, self.tolerance, self._known)
         if cause.kind not in self._known:
             self._searched += 1
+        if self._open and not self._tells_gains() and not self._is_of_open(cause):
+            self._allow(snapshot.covariance, _UNTOLD)
+            return False
         finding = self._finding(cause, snapshot)
         if cause.kind:
             self._known.add(cause.kind)
             self._explain(cause)
-            invalid = " and ".join(self._invalidity(snapshot.covariance))
+            invalid = " and ".join(self._invalidity(snapshot))
             if invalid:
                 finding = replace(finding, text=f"{finding.text}; the covariance {invalid}")
         elif cause.event is None and self._pending:
@@ -498,11 +659,22 @@ class AlgebraCheck:
         self._add_cause(finding, cause.kind, weight)
         if not cause.kind:
             self._invalid(snapshot, finding)
+        return True
+
+    def _is_of_open(self, cause: Cause) -> bool:
+        """Whether a cause is a gain that a correction tells; others presume Kalman's."""
+        return bool(cause.kind) and cause.event is not None and cause.event.number in self._open
 
     def _explain(self, cause: Cause) -> None:
         """Leave out the gain that is named with the covariance."""
-        if cause.what.startswith(WITH_GAIN) and cause.event is not None:
-            number = cause.event.number
+        if cause.event is None:
+            return
+        number = cause.event.number
+        if cause.sound:  # a gain that is not recorded, by which the estimate is corrected
+            self._pending = [one for one in self._pending if one[0].event != number]
+            self._open.pop(number, None)
+            self.optimal = False
+        elif cause.what.startswith(WITH_GAIN):
             kept = [one for one in self._pending if one[0].fault or one[0].event != number]
             self.optimal = self.optimal and len(kept) == len(self._pending)
             self._pending = kept
@@ -520,12 +692,16 @@ class AlgebraCheck:
     def _finding(self, cause: Cause, snapshot: Snapshot) -> Finding:
         check = "gain" if cause.sound else "algebra"
         event = cause.event
+        if event is None and not self._kept:
+            text = f"{name_of(snapshot)}: {cause.what}, with no event between it and {self._since}"
+            return Finding(check, True, text, snapshot.number, blocks=cause.blocks)
         if event is None:
             first, last = self._kept[0].number, snapshot.number
             text = f"between events {first} and {last}, {cause.what}"
             return Finding(check, True, text, first, blocks=cause.blocks)
         sensor = event.sensor if isinstance(event, Update) else None
-        tail = ", as at later ones of its kind" if cause.repeated and not cause.sound else ""
+        later = f" here and at later {name_of(event).split()[0]}s"
+        tail = later if cause.repeated and not cause.sound else ""
         text = f"{name_of(event)}: {cause.what}{tail}"
         return Finding(
             check, not cause.sound, text, event.number, sensor=sensor, blocks=cause.blocks
@@ -541,15 +717,32 @@ class AlgebraCheck:
         self._pending = []
 
 
+def _implied(event: Event) -> Event:
+    """An update with the gain that its correction tells, or else with Kalman's."""
+    assert isinstance(event, Update)  # noqa: S101 - of updates alone
+    if len(event.residual) == 1 and event.residual[0] and event.correction is not None:
+        return event._replace(gain=event.correction[:, None] / event.residual[0])
+    return event._replace(gain=None, correction=None)
+
+
+def _beyond(event: Update, fused: Fused) -> Array:
+    """(n,) what a correction has beyond Kalman's, over the length of the whitened residual."""
+    assert event.correction is not None  # noqa: S101 - of corrections alone
+    length = float(np.linalg.norm(fused.inverse_root @ event.residual))
+    off = event.correction - fused.gain @ event.residual
+    return off / length if length > 0.0 else off
+
+
 def faults_of(events: Iterable[Event], tolerance: float) -> tuple[str, ...]:
     """Return what is wrong with the algebra of events, in words.
 
     tolerance: what rounding explains, in standard deviations.
     """
     check = AlgebraCheck(tolerance)
-    for event in events:
-        check.take(event)
-    return check.faults()
+    with np.errstate(all="ignore"):  # a filter that has broken down may overflow anything
+        for event in events:
+            check.take(event)
+        return check.faults()
 
 
 def _is_single(matrix: Array) -> bool:
@@ -644,7 +837,7 @@ def localise(
     scaled = apart(snapshot.covariance, right)
     dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     largest = float(scaled.max())
-    allowed = max(tolerance, _SHARE * largest) if largest > tolerance else _PART * largest
+    allowed = max(tolerance, _SHARE * min(largest, 1.0)) if largest > tolerance else _PART * largest
     wrong = _wrong(scaled, snapshot.blocks, dims, allowed) if len(changing) == 1 else None
     search = _Search(start, changing, snapshot, allowed, wrong)
     for only in (before, None) if before else (None,):
@@ -741,7 +934,11 @@ class _Search:
             before.note(event)
 
     def _faults(self, event: Event, before: Remembering, fitted: bool) -> Iterator[KnownFault]:
-        return families(event) if fitted else known_faults(event, before, self.wrong)
+        if not fitted:
+            return known_faults(event, before, self.wrong)
+        # Where the correction is another gain's, a number for Kalman's explains nothing.
+        other = isinstance(event, Update) and corrects_otherwise(event, before)
+        return iter(()) if other else families(event)
 
     def _explains(
         self, before: Remembering, at: int, fault: KnownFault, repeated: bool
@@ -753,15 +950,15 @@ class _Search:
             if number is None:
                 return None
             found, count = fault.member(number), digits(number, fault.neutral)
-        if not self._gives(before, at, found.apply, repeated):
+        if not self._gives(before, at, found, repeated):
             return None
-        repeated = repeated and not self._gives(before, at, found.apply, False)
+        repeated = repeated and not self._gives(before, at, found, False)
         kind = fault.kind or fault.what
         cause = Cause(self.events[at], found.what, found.blocks, kind, found.sound, repeated)
         return count, cause
 
-    def _gives(self, before: Remembering, at: int, apply: Apply, repeated: bool) -> bool:
-        off = self._off(before, at, apply, repeated)
+    def _gives(self, before: Remembering, at: int, fault: KnownFault, repeated: bool) -> bool:
+        off = self._off(before, at, fault, fault.apply, repeated)
         return off is not None and float(np.abs(off).max()) <= self.allowed
 
     def _number(
@@ -770,7 +967,7 @@ class _Search:
         """Fit the number of a family by secants; None where it explains nothing."""
         assert fault.number is not None  # noqa: S101 - a family has one
         x, y = fault.neutral, 1.1 * fault.neutral + 1e-6 * (fault.neutral == 0.0)
-        old, now = (self._off(before, at, fault.number(z), repeated) for z in (x, y))
+        old, now = (self._off(before, at, fault, fault.number(z), repeated) for z in (x, y))
         for _ in range(_STEPS):
             if old is None or now is None:
                 return None
@@ -782,23 +979,27 @@ class _Search:
                 y = 0.1 * x
             if abs(y - x) <= _CLOSE * abs(y):
                 break
-            old, now = now, self._off(before, at, fault.number(y), repeated)
+            old, now = now, self._off(before, at, fault, fault.number(y), repeated)
 
         return y
 
-    def _off(self, before: Remembering, at: int, apply: Apply, repeated: bool) -> Array | None:
-        """Return how the snapshot differs, in sigmas, if an event is done so, and those like it."""
+    def _off(
+        self, before: Remembering, at: int, fault: KnownFault, apply: Apply, repeated: bool
+    ) -> Array | None:
+        """Return how the snapshot differs, in sigmas, if an event is done so, and those like it.
+
+        Of those like it the ones in whose state the error's blocks still are. None where the error
+        leads to no finite covariance, as without an inverse that it needs.
+        """
         replay, events = before.copy(), self.events[at:]
         self.left -= len(events)
-        try:
-            for i, event in enumerate(events):
-                if not i or (repeated and _same(events[0], event)):
-                    apply(replay, event)
-                else:
-                    replay.apply(event)
-                replay.note(event)
-        except (np.linalg.LinAlgError, KeyError):  # or a block that has left the state
-            return None
+        for i, event in enumerate(events):
+            like = repeated and _same(events[0], event)
+            if not i or (like and all(b in replay.layout.dims for b in fault.blocks)):
+                apply(replay, event)
+            else:
+                replay.apply(event)
+            replay.note(event)
         columns = replay.layout.columns(self.snapshot.blocks)
         expected, recorded = replay.covariance[columns][:, columns], self.snapshot.covariance
         if not np.isfinite(expected).all():

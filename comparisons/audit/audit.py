@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import PlainSerializer
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.algebra import AlgebraCheck, Finding
+from comparisons.audit.algebra import AlgebraCheck, Finding, name_of
 from comparisons.audit.consistency import (
     Anchors,
     BlockErrors,
@@ -30,6 +30,7 @@ from comparisons.audit.consistency import (
 )
 from comparisons.audit.replay import Fused, Layout, apart
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
+from comparisons.audit.uses import MeasurementUse
 from comparisons.errors import InputError
 from comparisons.figures import Aside, Figure, package_versions
 from comparisons.innovations import SensorInnovations
@@ -119,6 +120,9 @@ class Audit:
         unsolved: the event from which on nothing is compared with least squares, for its noise is
             no covariance; likewise.
         timed: every update has a time, and times do not fall; likewise.
+        gains_unlike: how many of the compared are not Kalman's; likewise.
+        follows_kalman: all gains are Kalman's, as far as recorded, so that its covariance is that
+            of least squares; likewise.
     """
 
     trace: Annotated[Path, PlainSerializer(lambda path: path.name, str)]
@@ -146,6 +150,8 @@ class Audit:
     learnt: Aside[Learnt | None]
     unsolved: Aside[int | None]
     timed: Aside[bool]
+    gains_unlike: Aside[int]
+    follows_kalman: Aside[bool]
 
     @property
     def sound(self) -> bool:
@@ -169,7 +175,8 @@ def audit(path: str | Path, tolerance: float = ROUNDING, progress: Progress | No
     if not 0.0 <= tolerance < math.inf:
         raise InputError(f"tolerance is {tolerance}, expected a finite number of 0 or more")
     trace = Trace(Path(path))
-    return _Pass(trace, tolerance).run(progress or (lambda stage, done, of: None))
+    with np.errstate(all="ignore"):  # a filter that has broken down may overflow anything
+        return _Pass(trace, tolerance).run(progress or (lambda stage, done, of: None))
 
 
 class _Pass:
@@ -181,6 +188,7 @@ class _Pass:
         self.algebra = AlgebraCheck(tolerance)
         self.smoother: EventSmoother
         self.innovations = EventInnovations(trace.sensors)
+        self.uses = MeasurementUse(trace.sensors)
         self.anchors = Anchors()
         self.prior: Prior
         self.errors: BlockErrors
@@ -232,6 +240,8 @@ class _Pass:
             gaps=tuple(self.gaps),
             oracle_agreement=self.agreement,
             gains_compared=self.algebra.gains,
+            gains_unlike=self.algebra.unlike,
+            follows_kalman=self.algebra.optimal,
             sensors=sensors,
             smoother=smoothed.averaged,
             nees=nees.pop("", None),
@@ -262,6 +272,7 @@ class _Pass:
                     self.spurious.take(event)
                 fused = self.algebra.take(event, unsound)
                 self._follow(event, fused)
+                self._judge_use(event, fused)
                 if self.unsolved is None:
                     self._solve(event, fused)
             case Snapshot():
@@ -295,6 +306,16 @@ class _Pass:
                 self.blocks[event.name] = self.blocks[event.source]
             case _:
                 pass
+
+    def _judge_use(self, event: Event, fused: Fused | None) -> None:
+        """Name what an update contradicts. fused: what the recursion made of it."""
+        algebra = self.algebra
+        sound = algebra.sound and algebra.known and algebra.optimal
+        for one in self.uses.take(event, fused, algebra.replay.layout, sound=sound):
+            update = one.update
+            text = f"{name_of(update)} {one.what}"
+            finding = Finding("use", True, text, update.number, sensor=update.sensor)
+            algebra.add(finding, one.kind)
 
     def _solve(self, event: Event, fused: Fused | None) -> None:
         """Let least squares do an event. fused: what the recursion made of an update."""
@@ -412,9 +433,9 @@ class _Pass:
         for one in () if found is None else found.directions:
             if one.largest is not None:
                 text = (
-                    f"the filter has learnt {one.name} to {one.sigma:.3g} {one.unit}".rstrip()
-                    + f" from measurements that cannot tell it; most by {one.largest.sensor} at "
-                    f"event {one.largest.event}"
+                    f"the filter claims {one.name} to {one.sigma:.3g} {one.unit}".rstrip()
+                    + ", which no measurement observes; the largest single gain is with "
+                    f"{one.largest.sensor} at event {one.largest.event}"
                 )
                 finding = Finding("spurious", False, text, one.largest.event)
                 self.algebra.add(finding, one.name)

@@ -225,6 +225,8 @@ class Anchors:
                 link.mean_then + link.gain @ (smoothed.mean - link.mean_now),
                 link.covariance + link.gain @ smoothed.covariance @ link.gain.T,
             )
+            if not (np.isfinite(smoothed.mean).all() and np.isfinite(smoothed.covariance).all()):
+                return Smoothed(None, None)
             value, clear, _ = normalised_difference(
                 (filtered.mean - smoothed.mean)[None],
                 filtered.covariance[None],
@@ -370,18 +372,18 @@ def first_error(
     if found is None:
         return None
     text = (
-        f"the first error of {_entry(layout, row)} is {error[row]:.3g}, P0 says "
+        f"the first error of {_entry(layout, row)} is {error[row]:.3g}, its sigma in P0 is "
         f"{np.sqrt(prior[row, row]):.3g}: "
     )
     orders = likelier_orders(error, prior, left, _exchanges(layout, row))
     if not orders:
-        return found._replace(what=f"{text}P0 is too small there, or stands in other rows")
+        return found._replace(what=f"{text}P0 is too small there, or its rows are in another order")
     listed = ", or ".join(
         f"{_exchanged(layout, one.order)} (p = {one.p_value:.2g})" for one in orders[:_MOST_ORDERS]
     )
     return found._replace(
-        what=f"{text}P0 is too small there, or its rows are exchanged, by which it is probable: "
-        f"{listed}"
+        what=f"{text}P0 is too small there, or its rows are exchanged; in this order the error is "
+        f"probable: {listed}"
     )
 
 

@@ -61,8 +61,16 @@ class KnownFault:
     def member(self, number: float) -> KnownFault:
         """The error of the family with a number."""
         assert self.number is not None  # noqa: S101 - asked for before
-        what = self.what.format(f"{number:.4g}")
+        what = self.what.format(number_text(number, self.neutral))
         return KnownFault(what, self.blocks, self.number(number), kind=self.what)
+
+
+def number_text(number: float, neutral: float) -> str:
+    """Return a number with four digits, or as many as tell it from the one of no error."""
+    for count in range(4, 16):
+        if float(text := f"{number:.{count}g}") != neutral:
+            return text
+    return f"{number:.17g}"
 
 
 def digits(number: float, neutral: float) -> int:
@@ -134,7 +142,7 @@ class Remembering(Replay):
         """P before the prediction before."""
         p = self.without_noise()
         if isinstance(self.last, Predict):
-            at, back = self.layout.columns(self.last.blocks), np.linalg.inv(self.last.jacobian)
+            at, back = self.layout.columns(self.last.blocks), _inverse(self.last.jacobian)
             p[at] = back @ p[at]
             p[:, at] = p[:, at] @ back.T
         return p
@@ -179,7 +187,7 @@ def known_faults(
         case _:
             return
     yield from _of_pairs(event, replay, wrong)
-    yield from _of_whole(replay)
+    yield from _of_whole(event, replay)
 
 
 def families(event: Event) -> Iterator[KnownFault]:
@@ -203,13 +211,13 @@ def families(event: Event) -> Iterator[KnownFault]:
                 yield KnownFault(text, event.blocks, _skipped, number=number, neutral=neutral)
     if isinstance(event, Update | Predict):
         yield KnownFault(
-            "the covariance was then multiplied by {}",
+            "the covariance was multiplied by {}",
             event.blocks,
             _skipped,
             number=lambda c: _then(partial(_rescaled, factor=c)),
         )
         yield KnownFault(
-            "{} was then added to the covariance's diagonal",
+            "{} was added to the covariance's diagonal",
             event.blocks,
             _skipped,
             number=lambda c: _then(partial(_rescaled, added=c)),
@@ -229,11 +237,8 @@ def name_gain(event: Update, replay: Remembering) -> OtherGain | None:
     if np.abs(_gain(replay, event) - given).max() <= near:
         return None
     for one in _gains(event, replay):
-        try:
-            if np.abs(one.gain(replay, event) - given).max() <= near:
-                return one
-        except np.linalg.LinAlgError:
-            continue
+        if np.abs(one.gain(replay, event) - given).max() <= near:
+            return one
     return None
 
 
@@ -285,8 +290,20 @@ def _of_others(name: str, field: str, event: str) -> Iterator[tuple[str, Swap]]:
     yield f"{name} of the first {event}", _taken(field, 0)
 
 
-def _changed(field: str, change: _Change) -> Swap:
-    return lambda replay, event: event._replace(**{field: change(getattr(event, field))})
+def _changed(
+    field: str, change: _Change, needs: Callable[[Array], bool] = lambda matrix: True
+) -> Swap:
+    """Change a matrix of an event. needs: whether it can be changed so."""
+
+    def swap(replay: Remembering, event: Any) -> Any:
+        matrix = getattr(event, field)
+        return event._replace(**{field: change(matrix)}) if needs(matrix) else None
+
+    return swap
+
+
+def _square_matrix(matrix: Array) -> bool:
+    return bool(matrix.shape[0] == matrix.shape[1])
 
 
 def _taken(field: str, which: int) -> Swap:
@@ -314,6 +331,9 @@ def _of_update(event: Update, replay: Remembering) -> Iterator[KnownFault]:
     other = name_gain(event, replay) or _of_factor(event, replay)
     if other is not None:
         yield from _with_gain(other, WITH_GAIN, joseph=False)
+    if corrects_otherwise(event, replay):
+        yield from _of_told_gain(event, replay)
+        return
     yield KnownFault("the covariance was not updated", event.blocks, _skipped)
     yield KnownFault("the covariance was updated twice", event.blocks, _twice)
     for what, form in _FORMS:
@@ -336,8 +356,36 @@ def _of_update(event: Update, replay: Remembering) -> Iterator[KnownFault]:
         yield KnownFault(what, (*event.blocks, *unseen), _alone)
 
 
-def _with_gain(one: OtherGain, text: str, *, joseph: bool) -> Iterator[KnownFault]:
-    """The covariances that come with a gain."""
+def corrects_otherwise(event: Update, replay: Remembering) -> bool:
+    """Whether a correction without a recorded gain is of another gain than Kalman's."""
+    if event.gain is not None or event.correction is None:
+        return False
+    return not _corrects(event, _gain(replay, event))
+
+
+def _of_told_gain(event: Update, replay: Remembering) -> Iterator[KnownFault]:
+    """What the gain may be that a correction is of, which is no error by itself."""
+    assert event.correction is not None  # noqa: S101 - asked for above
+    if not event.correction.any():
+        what = "the covariance was not updated"
+        yield KnownFault(what, event.blocks, _skipped, sound=True)
+    for one in _gains(event, replay):
+        if _corrects(event, one.gain(replay, event)):
+            yield from _with_gain(one, "the covariance was updated with", joseph=True, sound=True)
+    yield from _of_schmidt(event, replay)
+
+
+def _corrects(event: Update, gain: Array) -> bool:
+    """Whether the recorded correction is a gain times the residual."""
+    assert event.correction is not None  # noqa: S101 - asked for above
+    off = np.abs(event.correction - gain @ event.residual).max()
+    return bool(off <= _ALIKE * float(np.abs(event.correction).max()))
+
+
+def _with_gain(
+    one: OtherGain, text: str, *, joseph: bool, sound: bool = False
+) -> Iterator[KnownFault]:
+    """The covariances that come with a gain. sound: Joseph's form, which holds for any, is."""
 
     def short(replay: Remembering, event: Update) -> None:
         replay.shorten(one.swap(replay, event) or event, one.gain(replay, event))
@@ -346,7 +394,11 @@ def _with_gain(one: OtherGain, text: str, *, joseph: bool) -> Iterator[KnownFaul
     yield KnownFault(what, one.blocks, short)
     if joseph:
         tail = ", in Joseph's form"
-        yield KnownFault(what + tail, one.blocks, lambda r, e: r.fuse(e, one.gain(r, e)))
+
+        def fused(replay: Remembering, event: Update) -> None:
+            replay.fuse(event, one.gain(replay, event))
+
+        yield KnownFault(what + tail, one.blocks, fused, sound=sound)
     if prior is not None:
         yield KnownFault(
             what,
@@ -391,6 +443,11 @@ def _gains(event: Update, replay: Remembering) -> Iterator[OtherGain]:
             prior=Remembering.unpredicted,
         )
     yield OtherGain("R in place of S", blocks, lambda r, e: _by(r, e, _inverse(e.noise)))
+    yield OtherGain(
+        "P H^T S, with S in place of its inverse",
+        blocks,
+        lambda r, e: _by(r, e, _spread(r.covariance, r, e)),
+    )
     yield OtherGain("P H^T, without the inverse of S", blocks, lambda r, e: _by(r, e, np.eye(1)))
     m = len(event.residual)
     if m > 1:
@@ -523,7 +580,18 @@ def _lost(f: Array, part: slice, *, turned: bool) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    """The inverse; NaN of a matrix that has none, with which no error explains anything."""
+    try:
+        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.nan)
+
+
+def _pseudo_inverse(matrix: Array) -> Array:
+    """The pseudo-inverse; NaN of a matrix that is not finite."""
+    if not np.isfinite(matrix).all():
+        return np.full_like(matrix, np.nan)
+    return np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
 
 
 def _transposed(matrix: Array) -> Array:
@@ -587,8 +655,8 @@ def _of_augment(event: Augment, replay: Replay) -> Iterator[KnownFault]:
         *_of_others("G_x", "jacobian", "augmentation"),
         *_of_others("G_z", "noise_jacobian", "augmentation"),
         ("the other sign of G_x", _changed("jacobian", _negative)),
-        ("G_z transposed", _changed("noise_jacobian", _transposed)),
-        ("R in place of G_z R G_z^T", _changed("noise_jacobian", _identity)),
+        ("G_z transposed", _changed("noise_jacobian", _transposed, _square_matrix)),
+        ("R in place of G_z R G_z^T", _changed("noise_jacobian", _identity, _square_matrix)),
         *((f"G_x as zero on block {b}", _on_block(b, 0.0)) for b in blocks if len(blocks) > 1),
     ):
         yield KnownFault(f"the block was initialised with {what}", (name, *blocks), _swapped(swap))
@@ -648,9 +716,10 @@ def _of_pairs(event: Event, replay: Replay, wrong: Blocks | None) -> Iterator[Kn
         )
 
 
-def _of_whole(replay: Replay) -> Iterator[KnownFault]:
+def _of_whole(event: Event, replay: Replay) -> Iterator[KnownFault]:
     """Of what is done to the whole covariance after an event."""
-    blocks = tuple(replay.layout.dims)
+    removed = event.blocks if isinstance(event, Remove) else ()
+    blocks = tuple(name for name in replay.layout.dims if name not in removed)
     if len(blocks) > 1:
         what = "the covariances of different blocks were then set to zero"
         yield KnownFault(what, blocks, _then(_independent))
@@ -691,9 +760,9 @@ def _set(replay: Replay, a: str, b: str, value: Array | float) -> None:
 
 
 def _kept(replay: Replay, event: Event, a: str, others: Blocks) -> None:
-    """Do the event, but for the covariance of a block with some."""
-    entries = replay.layout.entries
-    before = {b: replay.covariance[entries(a), entries(b)].copy() for b in others}
+    """Do the event, but for the covariance of a block with some, of those that there are."""
+    entries, dims = replay.layout.entries, replay.layout.dims
+    before = {b: replay.covariance[entries(a), entries(b)].copy() for b in others if b in dims}
     replay.apply(event)
     for b, value in before.items():
         _set(replay, a, b, value)
@@ -730,7 +799,7 @@ def _conditioned(replay: Replay, event: Remove) -> None:
     gone = replay.layout.columns(event.blocks)
     p = replay.covariance
     own = p[gone][:, gone]
-    replay.covariance = p - p[:, gone] @ np.linalg.pinv(own) @ p[gone]
+    replay.covariance = p - p[:, gone] @ _pseudo_inverse(own) @ p[gone]
     replay.remove(event.blocks)
 
 
@@ -757,7 +826,7 @@ def _gain(replay: Replay, event: Update, p: Array | None = None) -> Array:
     """Kalman's gain for P, or for another one."""
     p = replay.covariance if p is None else p
     at, h = replay.layout.columns(event.blocks), event.jacobian
-    return p[:, at] @ h.T @ np.linalg.pinv(_spread(p, replay, event))
+    return p[:, at] @ h.T @ _pseudo_inverse(_spread(p, replay, event))
 
 
 def _by(replay: Replay, event: Update, right: Array) -> Array:

@@ -19,6 +19,7 @@ from comparisons.arrays import Array, Index
 from comparisons.audit.directions import planar_directions
 from comparisons.audit.replay import LongFormReplay, Replay, ShortFormReplay
 from comparisons.audit.spurious import VEHICLE
+from comparisons.logs.log import Log
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -31,6 +32,7 @@ from comparisons.trace.events import (
     Update,
 )
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.trace import VEHICLE as ORIGIN
 from ekf_reference.core.trace import (
@@ -42,10 +44,13 @@ from ekf_reference.core.trace import (
     stack_records,
 )
 from ekf_reference.filters.compressed import CompressedState
+from ekf_reference.models.range_bearing import RangeBearing
 
 SENSORS = {POINT: "measurements", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
 _PLANAR = 3
+_NEARER = 0.5
+"""So much nearer to the mean after an update its last iterate is than to the one before."""
 
 
 def run_events(run: EkfRun) -> Iterator[Event]:
@@ -89,6 +94,105 @@ def sound_recursion(run: EkfRun) -> tuple[Array, Array] | None:
         return None
     at = short.layout.columns(last.blocks)
     return short.covariance[at][:, at], np.array([one.mean[at] for one in others])
+
+
+def residuals_at_points(run: EkfRun) -> Array:
+    """Return the residuals of measurements of points, z - h(point), at the points of H.
+
+    An iterated update records residual = z - h(point) - H (mean - point), with the last iterate as
+    its point, so that its correction is gain times residual. It is known by its point, which is
+    nearer to the mean after the update than to the one before it.
+
+    Args:
+        run: As the filter made it.
+
+    Returns:
+        (M, 2), a row for each record: those of other updates as they were recorded.
+    """
+    used = run.trace.measurements[POINT]
+    residual, entries, before = used.innovation.copy(), used.entries > 0.0, np.zeros(0)
+    for event, rows, mean, replay in _means(run):
+        if isinstance(event, Update) and event.sensor.endswith(SENSORS[POINT]):
+            at, point = replay.layout.columns(event.blocks), np.asarray(event.point)
+            off, left = before[at] - point, mean[at] - point
+            if np.abs(left).max() < _NEARER * np.abs(off).max():
+                shift = np.zeros(entries[rows].shape)
+                shift[entries[rows]] = event.jacobian @ off
+                residual[rows] += shift
+        before = mean
+    return residual
+
+
+def distances_of(run: EkfRun, log: Log) -> tuple[Array, Array]:
+    """Return the normalised innovations squared of a log's measurements, used or not.
+
+    Args:
+        run: As the filter made it, with the log's labels.
+        log: Whose measurements they are.
+
+    Returns:
+        (M,) by the state before the updates of each instant, and (M,) by that before its own turn;
+        NaN of what the filter has not mapped by then.
+    """
+    index, epoch = run.landmark_index, run.timeline.measurement_epoch
+    label = log.measurements.landmark[: len(index)]
+    name_of = {int(label[k]): int(index[k]) for k in np.flatnonzero(index >= 0)}
+    step = run.timeline.steps_until()[epoch]
+    events, made = _Events(run), 0
+    before, alone = np.full(len(index), np.nan), np.full(len(index), np.nan)
+    for event, _, mean, replay in _means(run):
+        at_turn = not isinstance(event, Prior | Predict)
+        if isinstance(event, Predict):
+            made += 1
+        rows = np.flatnonzero(step == made)
+        if at_turn and isinstance(event, Update | Augment) and event.numbers is not None:
+            rows = rows[rows > event.numbers.max()]
+        for row in rows.tolist():
+            block = events.name(POINT, name_of[int(label[row])]) if label[row] in name_of else ""
+            if block in replay.layout.dims:
+                alone[row] = _distance(log, row, mean, replay, block)
+                if not at_turn:
+                    before[row] = alone[row]
+    return before, alone
+
+
+def _distance(log: Log, row: int, mean: Array, replay: Replay, block: str) -> float:
+    """Return the normalised innovation squared of a measurement of a point."""
+    seen, at = log.measurements, replay.layout.columns((VEHICLE, block))
+    x, p = mean[at], replay.covariance[at][:, at]
+    z, by_pose, by_point = RangeBearing().predict(x[:_PLANAR], x[None, _PLANAR:])
+    h = np.hstack((by_pose[0], by_point[0]))
+    off = np.array([seen.range_m[row], seen.bearing_rad[row]]) - z[0]
+    off[1] = wrap_angle(off[1])
+    r = np.diag((seen.sigma_range_m[row], seen.sigma_bearing_rad[row])) ** 2
+    return float(off @ np.linalg.solve(h @ p @ h.T + r, off))
+
+
+def _means(run: EkfRun) -> Iterator[tuple[Event, slice, Array, Replay]]:
+    """Yield each event with its rows, if it is an update, and the mean and covariance after it."""
+    events, mean = _Events(run), run.trace.prior_pose.copy()
+    replay: Replay
+    for event in events.all():
+        if isinstance(event, Prior):
+            replay = Replay(event)
+            yield event, events.rows, mean, replay
+            continue
+        if isinstance(event, Predict | Augment):
+            mean = _moved(mean, event)
+        fused = replay.apply(event)
+        if fused is not None:
+            mean = mean + fused.applied
+        yield event, events.rows, mean, replay
+
+
+def _moved(mean: Array, event: Predict | Augment) -> Array:
+    """Return a mean (n,) after a prediction of the pose, or with a new landmark behind it."""
+    if event.point is None or event.after is None:
+        raise ValueError("an event without its points")
+    off = event.jacobian @ (mean[: len(event.point)] - event.point)
+    if isinstance(event, Augment):
+        return np.concatenate((mean, event.after + off))
+    return np.concatenate((event.after + off, mean[len(off) :]))
 
 
 def watch(ekf: Ekf, run: EkfRun, take: Callable[[Event], object]) -> None:
@@ -190,7 +294,10 @@ class _Watch(Trace):
 
 
 class _Events:
-    """The events of a run, numbered as they are made. now: number and time of the last one."""
+    """The events of a run, numbered as they are made.
+
+    now: number and time of the last one. rows: of the records that the last update was of.
+    """
 
     def __init__(self, run: EkfRun) -> None:
         self._run, self._number = run, -1
@@ -200,6 +307,8 @@ class _Events:
         epoch = np.minimum(np.searchsorted(run.timeline.steps_until(), made), len(time_s) - 1)
         self._stands_s = time_s[epoch].tolist()
         self._time_s = float(time_s[0])
+        self.rows = slice(0, 0)
+        self._entries: dict[LandmarkKind | None, Array] = run.single_entries
 
     @property
     def now(self) -> tuple[int, float]:
@@ -261,6 +370,7 @@ class _Events:
     ) -> Update:
         """Return what rows from begin to end were fused as. kind: None for positions."""
         at, origin = slice(begin, end), int(used.origin[begin])
+        self.rows = at
         index = used.landmark_index[at].tolist()
         names = [] if kind is None else [self.name(kind, i) for i in index]
         first, sensor = VEHICLE, POSITIONS if kind is None else SENSORS[kind]
@@ -277,15 +387,26 @@ class _Events:
             h[r * i : r * (i + 1), to : to + width] = used.jacobian_other[begin + i]
             point[to : to + width] = used.landmark[begin + i]
         residual, noise = used.innovation[at].ravel(), _diagonal(used.noise[at])
+        numbers = used.number[at].astype(float)
+        if (rows := self._single(kind, at)) is not None:
+            entries = np.unique(rows % r)
+            sensor = self._run.sensor_of(sensor, int(entries[0])) if len(entries) == 1 else sensor
+            residual, h, noise = residual[rows], h[rows], noise[np.ix_(rows, rows)]
+            numbers = np.repeat(numbers, r)[rows]
         return Update(
             *(*self._next(), sensor, blocks, residual, h, noise),
             used=True,
             correction=None,
             gain=None,
             point=point,
-            numbers=used.number[at].astype(float),
+            numbers=numbers,
             weight=float(used.weight[begin]),
         )
+
+    def _single(self, kind: LandmarkKind | None, at: slice) -> Index | None:
+        """Return the entries that were used of some rows' measurements; None where all were."""
+        entries = self._entries.get(kind)
+        return None if entries is None or entries[at].all() else np.flatnonzero(entries[at].ravel())
 
     def remove(self, kind: LandmarkKind, landmark_index: int) -> Remove:
         """Return the removal of a landmark."""

@@ -99,7 +99,8 @@ class Fused(NamedTuple):
 
     innovation: (m,) nu, the residual without the estimate's known error. spread: (m, m) S = L L^T.
     inverse_root: (m, m) L^-1; NaN where S is not positive definite. gain: (n, m) Kalman's. applied:
-    (n,) the correction, as recorded or by the gain; zero for a rejected measurement.
+    (n,) the correction, as recorded or by the gain; zero for a rejected measurement. root: (m, m)
+    L, NaN likewise.
     """
 
     innovation: Array
@@ -107,6 +108,7 @@ class Fused(NamedTuple):
     gain: Array
     applied: Array
     inverse_root: Array
+    root: Array
 
     @property
     def whitened(self) -> Array:
@@ -185,10 +187,12 @@ class Replay:
         if fault:
             nothing = np.zeros_like(across)
             applied = np.zeros(len(p)) if event.correction is None else event.correction
-            return Fused(innovation, s, nothing, applied, np.full_like(s, np.nan))
+            return Fused(
+                innovation, s, nothing, applied, np.full_like(s, np.nan), np.full_like(s, np.nan)
+            )
         inverse_root: Array = dtrtrs(root, np.eye(len(s)), lower=1)[0]
         gain = across @ inverse_root.T @ inverse_root
-        fused = Fused(innovation, s, gain, np.zeros(len(p)), inverse_root)
+        fused = Fused(innovation, s, gain, np.zeros(len(p)), inverse_root, root)
         if not event.used:
             return fused
         used = gain if event.gain is None else event.gain
@@ -267,12 +271,13 @@ class LongFormReplay(Replay):
         self.covariance = 0.5 * (p + p.T)
 
 
-def apart(recorded: Array, expected: Array) -> Array:
+def apart(recorded: Array, expected: Array, least: Array | None = None) -> Array:
     """Return the differences (n, n) of two covariances, in units of the expected sigmas.
 
-    A variance that is expected to be zero has the recorded one as its unit.
+    A variance that is expected to be zero has the recorded one as its unit. least: (n,) variances
+    that are rounding.
     """
-    unit = units(recorded, expected)
+    unit = units(recorded, expected, least)
     scaled: Array = np.abs(recorded - expected) / (unit[:, None] * unit)
     return scaled
 
@@ -326,7 +331,7 @@ def _gain(
 ) -> list[Unlike]:
     """The columns are compared times the innovation's root, in sigmas of the state."""
     assert event.gain is not None  # noqa: S101 - asked for above
-    root: Array = np.asarray(np.linalg.inv(fused.inverse_root), dtype=np.float64)
+    root = fused.root
     given, right = ((k @ root) / unit[:, None] for k in (event.gain, fused.gain))
     if not np.abs(given - right).max() > tolerance:
         return []
@@ -339,11 +344,12 @@ def _gain(
         names = ", ".join(silent)
         return [Unlike(f"does not correct {names} (Schmidt)", silent, False)]
     weight = float(np.vdot(given, right) / np.vdot(right, right)) if scale else 0.0
-    if np.abs(given - weight * right).max() <= _ALIKE * scale:
-        return [Unlike(f"uses {weight:.4g} times Kalman's gain", wrong, False, "times Kalman's")]
+    plain = f"{weight:.4g}"
+    if plain != "1" and np.abs(given - weight * right).max() <= _ALIKE * scale:
+        return [Unlike(f"uses {plain} times Kalman's gain", wrong, False, "times Kalman's")]
     s = root @ root.T
     factor = noise_factor(event.gain, fused.gain @ s, s - event.noise, event.noise)
-    if factor is not None:
+    if factor is not None and f"{factor:.4g}" != "1":
         return [Unlike(f"uses the gain of {factor:.4g} R", wrong, False, "times R")]
     off = float(np.abs(given - right).max() / (scale or 1.0))
     text = f"has a gain that is not Kalman's on {', '.join(wrong)} (by {100 * off:.2g} %)"
@@ -385,7 +391,7 @@ def _correction(
     elif np.abs(given - 2.0 * meant).max() <= near:
         text = f"corrects the estimate of {names} twice"
     else:
-        text = f"corrects the estimate of {names} by other than gain times residual"
+        text = f"applies a correction of {names} that is not gain x residual"
         return [Unlike(text, wrong, True, "other correction")]
     return [Unlike(text, wrong, True)]
 

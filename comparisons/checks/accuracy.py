@@ -210,8 +210,10 @@ def exchanged_labels(estimate: Estimate, log: Log, *, labelled: bool) -> str:
     found = at_others(aligned(estimate.landmark[ours], true, robust=True), true)
     if not found:
         return ""
-    pairs = ", ".join(f"{names[i]} at {names[k]}" for i, k in found[:4])
-    return f"{len(found)} landmarks lie at the true place of another label: {pairs}"
+    pairs = ", ".join(f"{names[i]} lies on {names[k]}" for i, k in found[:4])
+    one = "1 landmark coincides with the truth of another label"
+    some = f"{len(found)} landmarks coincide with the truth of other labels"
+    return f"{one if len(found) == 1 else some}: {pairs}"
 
 
 def at_others(points: Array, reference: Array) -> list[tuple[int, int]]:

@@ -49,12 +49,12 @@ EXPLANATIONS: dict[str, Explanation] = {
     ),
     "log": Explanation(
         "The log fits with another number, unit or sigma",
-        "The smoother's chi-square is too high, and it falls to what the stated noise explains if "
-        "one number of one sensor is changed: a scale, an offset, or a delay. The named one "
-        "removes at least 80 % of what chi-square is too high by. Scales of speed and range stand "
-        "for each other where nothing else tells the size of the map. Where no such number "
-        "explains it, the log is examined as by `slamcheck logs LOG`: units, signs, exchanged "
-        "columns, and sigmas that are variances.",
+        "The smoother's chi-square is too high, and one change of the log takes it into its band: "
+        "a scale, an offset or a delay of one sensor, or else a unit, a sign, exchanged columns, "
+        "or sigmas that are variances, as of `slamcheck logs LOG`. What is left is the stated "
+        "noise, by sensor, by landmark and over time. Where several changes fit as well, all are "
+        "named: scales of speed and range stand for each other where nothing else tells the size "
+        "of the map.",
         "Check the calibration, the units and the clock of the named sensor.",
         decides="never",
     ),
@@ -91,11 +91,21 @@ EXPLANATIONS: dict[str, Explanation] = {
         decides="open",
     ),
     "noise": Explanation(
-        "A stated sigma is too small",
-        "The smoother's chi-square and the filter's NIS of the named measurements are both too "
-        "large. So these measurements scatter more than their stated sigmas allow, or some belong "
-        "to other landmarks. This cause explains another one and never appears alone.",
-        "Check the sigmas of the named measurements. Check the association.",
+        "The log fits with another noise of one sensor",
+        "The smoother's chi-square is too high, and it falls into its band if the sigma of one "
+        "sensor has another size. That sensor's residuals then have about one per degree of "
+        "freedom, and all residuals are the stated noise by landmark, over time, in the mean and "
+        "from one to the next. This cause explains another one and never appears alone.",
+        "Check the sigma of the named sensor.",
+        decides="never",
+    ),
+    "misfit": Explanation(
+        "No single change makes the log fit",
+        "The smoother's chi-square is too high, and neither another number, unit or sign, nor "
+        "another noise of one sensor leaves the stated noise everywhere. The evidence says where "
+        "the residuals first leave it. This cause explains another one and never appears alone.",
+        "Check what was recorded there: its association, its clock, its frame. Two faults at "
+        "once fit by no single change.",
         decides="never",
     ),
     "dropout": Explanation(
@@ -226,6 +236,10 @@ EXPLANATIONS: dict[str, Explanation] = {
 
 FILTER_FAULTS = frozenset(kind for kind, one in EXPLANATIONS.items() if one.decides == "filter")
 """Kinds that show in the filter's own records, whatever the smoother found."""
+
+
+SYMPTOMS = ("estimate", "covariance", "optimum", "grade")
+"""Kinds that say that an estimate differs, and not why."""
 
 
 def decides(kind: str) -> Decides:

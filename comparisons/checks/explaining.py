@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from comparisons.checks.check import Check
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog, solved_run
 from comparisons.checks.finding import Finding
 from comparisons.checks.verdict import to_explain
+from comparisons.errors import InputError
 from comparisons.figures import degrees
+from comparisons.statistics import WORDS
 from comparisons.words import Cause
+from graphslam.goodness_of_fit import Goodness
 from graphslam.optimum import ChiSquareTest
 
 if TYPE_CHECKING:
@@ -32,19 +39,25 @@ class Explaining(Finding):
 
 
 class CheckMisfit(Check):
-    """Which number of the log, or which sigma, makes chi-square too high?"""
+    """Which number of the log, or which noise, makes chi-square too high?"""
 
     name = "misfit"
     needs = "a run whose estimates disagree, or whose optimum is not verified"
     errs = "not at all: it explains another cause"
 
     def find(self, known: Known) -> Explaining | None:
-        """Return what is wrong with the log, or else which sensor's innovations are too large."""
+        """Return what makes all of the log fit, or else where its residuals leave the noise."""
         test = known.result.optimality.chi_square
         if not to_explain(known) or test.reading != "too high":
             return None
-        wrong = _wrong_log(known, test)
-        return Explaining(wrong or noise(test, known.value(ConsistencyFinding)))
+        result = known.result
+        goodness = Goodness(result.problem, result.graph, result.values)
+        solved = solved_run(goodness, known.smoothed)
+        return Explaining(
+            _wrong_log(known, test, solved)
+            or other_noise(known, test)
+            or [misfit(test, solved.departure, known.value(ConsistencyFinding))]
+        )
 
 
 class CheckDropouts(Check):
@@ -63,20 +76,38 @@ class CheckDropouts(Check):
         return Explaining(dropout(find_dropouts(known.ekf, known.smoothed)))
 
 
-def _wrong_log(known: Known, test: ChiSquareTest) -> list[Cause]:
+def _wrong_log(known: Known, test: ChiSquareTest, solved: SolvedLog) -> list[Cause]:
     """Return what of the log's own numbers is wrong."""
-    from comparisons.checks.diagnosis.first_pose import exchanged_rows
-    from comparisons.checks.diagnosis.log_doctor import examine_run
-    from comparisons.checks.diagnosis.log_fit import log_fits
+    from comparisons.checks.diagnosis.log_doctor import Examination, examine_run
+    from comparisons.checks.diagnosis.log_fit import fitted_numbers, solve_by_run
 
-    log, run, result, smoothed = known.prepared.log, known.ekf, known.result, known.smoothed
+    log, run, result = known.prepared.log, known.ekf, known.result
     known.prepared.progress("the log's own numbers", 0, 0)
-    if rows := exchanged_rows(log.prior, smoothed.pose[0], smoothed.pose_covariance[0]):
+    solve = solve_by_run(run, result)
+    if rows := _exchanged_rows(known, solve):
         return [_log_fault(rows)]
-    if fits := log_fits(log, run, result):
+    if fits := fitted_numbers(log, solve, test):
         return [_log_number(fits, test)]
-    found = examine_run(log, run, result)
-    return [_log_fault(found.words)] if found.findings else []
+    fits = examine_run(log, run, result, solved)
+    return [_log_fault(Examination(test, fits).words)] if fits else []
+
+
+def _exchanged_rows(known: Known, solve: Solve) -> str:
+    """Return which rows of the prior's covariance are exchanged, if the log fits so."""
+    from comparisons.checks.diagnosis.first_pose import exchanged_rows
+    from comparisons.faults.catalogue import EXCHANGED_ROWS
+
+    log, smoothed = known.prepared.log, known.smoothed
+    words = exchanged_rows(log.prior, smoothed.pose[0], smoothed.pose_covariance[0])
+    for order in EXCHANGED_ROWS.values() if words else ():
+        exchanged = replace(log.prior, covariance=log.prior.covariance[np.ix_(order, order)])
+        try:
+            solved = solve(replace(log, prior=exchanged), False)
+        except (InputError, RuntimeError):
+            continue
+        if solved.goodness.sound:
+            return words
+    return ""
 
 
 def _log_number(fits: Sequence[LogFit], test: ChiSquareTest) -> Cause:
@@ -95,29 +126,49 @@ def _log_fault(words: str) -> Cause:
     return Cause("log", words, "make the log again with this changed (slamcheck new-log)")
 
 
-def noise(test: ChiSquareTest, consistency: Consistency | None) -> list[Cause]:
-    """The sensors whose innovations are too large, where the smoother's residuals are, too."""
-    if consistency is None:
+def other_noise(known: Known, test: ChiSquareTest) -> list[Cause]:
+    """Return the sensors whose noise alone explains all residuals."""
+    from comparisons.checks.diagnosis.other_noise import other_noises
+    from graphslam.variance_components import variance_components
+
+    result = known.result
+    if result.reweighted or result.lagged is not None:
         return []
-    off = [
-        (nis, sensor.sensor)
-        for sensor in consistency.sensors
-        for nis in sensor.nis[1:]
-        if nis.worded(consistency.outside)[0] == "too high"
-    ]
-    if not off:
-        return []
-    worst, of = max(off, key=lambda pair: pair[0].mean)
-    listed = ", ".join(f"{name}' {n.name} {n.mean:.3g} (expected {n.dof})" for n, name in off)
-    return [
-        Cause(
-            "noise",
-            f"the smoother's chi-square is too high, {test.chi2:.0f} for {test.dof} degrees of "
-            f"freedom; these mean NIS are too high as well: {listed}",
-            f"check the sigma of the {of}' {worst.name}: if nothing else is wrong, it is about "
-            f"{worst.mean**0.5:.2g} times too small; also check the association",
+    causes = []
+    for one in other_noises(result, variance_components(result)):
+        low, high = one.component.interval(WORDS)
+        causes.append(
+            Cause(
+                "noise",
+                f"the log fits with a noise of the {one.sensor} {one.component.factor:.2g} times "
+                f"the stated ({low:.2g} to {high:.2g} in 99.9 %): chi-square falls from "
+                f"{test.chi2:.0f} to {one.test.chi2:.0f} for {test.dof} degrees of freedom",
+                f"check the sigma of the {one.sensor}",
+            )
         )
+    return causes
+
+
+def misfit(test: ChiSquareTest, departure: str, consistency: Consistency | None) -> Cause:
+    """Nothing that was tried makes the log fit. departure: where its residuals leave the noise."""
+    sensors = () if consistency is None else consistency.sensors
+    listed = [
+        f"{sensor.sensor}' {nis.name} {nis.mean:.3g} (expected {nis.dof})"
+        for sensor in sensors
+        for nis in sensor.nis[1:]
+        if consistency and nis.worded(consistency.outside)[0] == "too high"
     ]
+    parts = [
+        f"no single change makes the log fit: chi-square {test.chi2:.0f} for {test.dof} degrees "
+        "of freedom",
+        departure,
+        f"these mean NIS are too high as well: {', '.join(listed)}" if listed else "",
+    ]
+    return Cause(
+        "misfit",
+        "; ".join(filter(None, parts)),
+        "check what was recorded there: its association, its clock, its frame",
+    )
 
 
 def dropout(dropouts: Dropouts) -> list[Cause]:

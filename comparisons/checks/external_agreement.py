@@ -92,7 +92,7 @@ class Coverage:
                 inner.append((start, stop))
         if inner:
             start, stop = max(inner, key=lambda hole: hole[1] - hole[0])
-            what = "no poses" if len(inner) == 1 else f"{len(inner)} holes, the longest"
+            what = "no poses" if len(inner) == 1 else f"{len(inner)} gaps, the longest"
             where.append(f"it has {what} from {start:.1f} to {stop:.1f} s")
         whole = self.span_s[1] - self.span_s[0]
         seconds = f"the estimate covers {whole - self._missing_s:.1f} of {whole:.1f} s"

@@ -109,7 +109,7 @@ def likeness(given: ExternalEstimate, reference: Reference, *, labelled: bool) -
     given: its poses at the reference's times, and no others. labelled: ids are the log's.
     """
     rows = ours, theirs = match_map(given, reference, labelled=labelled)
-    missing, unmapped = _missing(reference), _unmapped(given, reference, ours)
+    missing, unmapped = _missing(reference), _unmapped(given, reference, ours, labelled=labelled)
     parts = [pose_part(given, reference)]
     if given.landmark is not None:
         parts.append(_landmarks(given, reference, rows))
@@ -270,11 +270,17 @@ def _missing(reference: Reference) -> Sequence[str]:
     return missing
 
 
-def _unmapped(given: ExternalEstimate, reference: Reference, ours: Index) -> Sequence[str]:
+def _unmapped(
+    given: ExternalEstimate, reference: Reference, ours: Index, *, labelled: bool
+) -> Sequence[str]:
     """What the reference's map has and the estimate's has not, or the other way about."""
     missing = []
     if given.landmark is not None:
         lacking, more = len(reference.landmark) - len(ours), len(given.landmark) - len(ours)
+        if given.removed is not None:
+            gone = np.array(given.removed.landmark_id)
+            theirs = np.isin(gone, reference.landmark_id) if labelled else gone >= 0
+            lacking = max(0, lacking - int(np.count_nonzero(theirs)))
         if lacking:
             of = len(reference.landmark)
             missing.append(f"{lacking} of {of} landmarks of the log are missing in the map")

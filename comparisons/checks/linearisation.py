@@ -119,9 +119,9 @@ def _learnt(spurious: Learnt, sigma: Array) -> list[str]:
         return []
     begin_s, end_s, _ = spurious.fastest(HEADING)
     return [
-        f"the filter has learnt its global heading to {degrees(np.radians(learnt.sigma))} from "
-        f"measurements that cannot tell it, most from {begin_s:.1f} to {end_s:.1f} s and, by a "
-        f"single update, with {learnt.largest.seen} at {learnt.largest.time_s:.1f} s"
+        f"the filter claims its absolute heading to {degrees(np.radians(learnt.sigma))}, which no "
+        f"measurement observes (gained fastest from {begin_s:.1f} to {end_s:.1f} s; the largest "
+        f"single gain is with {learnt.largest.seen} at {learnt.largest.time_s:.1f} s)"
     ]
 
 

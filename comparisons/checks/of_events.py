@@ -96,8 +96,17 @@ class CheckSnapshots(EventCheck):
         text = f"{audit.oracle_agreement:.1g} sigma^2"
         rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
         gap = audit.first_open
-        if gap is None or audit.sound:  # what only least squares sees is small, and no finding
+        if gap is None:
             said = f"equal to least squares at every snapshot{until}, to {largest.worst:.1g}"
+        elif audit.sound and not audit.follows_kalman:
+            said = (
+                "that of the filter's gains at every snapshot; by Kalman's gains it would differ "
+            )
+            said += f"by up to {largest.sigma:.2g} sigma, {largest.covariance:.2g} in covariance"
+        elif audit.sound:  # the recursion goes on from what rounding has made of a snapshot
+            said = f"that of the events at every snapshot{until}; least squares over all of them "
+            said += f"differ by up to {largest.sigma:.2g} sigma, {largest.covariance:.2g} in "
+            said += "covariance, by rounding"
         else:
             at = f" ({gap.time_s:.6g} s)" if audit.timed and gap.time_s is not None else ""
             said = f"gap opens at event {gap.event:,}{at}: {gap.sigma:.2g} sigma, "
@@ -117,8 +126,10 @@ class CheckGains(EventCheck):
         audit = known.audit
         if not audit.gains_compared:
             return Absent("no gain or correction is recorded")
-        unlike = any(one.check == "gain" for one in audit.findings)
-        whose = "some are not Kalman's" if unlike else "all Kalman's"
+        unlike, count = audit.gains_unlike, audit.gains_compared
+        whose = "all Kalman's"
+        if unlike:
+            whose = "none of them Kalman's" if unlike == count else f"{unlike:,} not Kalman's"
         return EventFinding(audit, (), ("gains", f"{audit.gains_compared:,} compared, {whose}"))
 
 
@@ -182,8 +193,8 @@ class CheckDirections(EventCheck):
     """What has the filter learnt of directions that its sensors cannot tell?"""
 
     name = "spurious"
-    needs = "directions, with the sensors that are blind to them"
-    errs = "it names what it finds, and condemns nothing"
+    needs = "directions, with the sensors that do not observe them"
+    errs = "not at all: what it finds changes no verdict"
     figures = (("spurious", LearntDirection),)
 
     def find(self, known: KnownEvents) -> EventFinding | Absent:
@@ -197,13 +208,13 @@ class CheckDirections(EventCheck):
             if one.largest is not None
         }
         rows = [
-            Row("Spurious information", f"{one.name}, seems known to", sigma.get(one.name, "none"))
+            Row("Spurious information", f"{one.name}, claimed to", sigma.get(one.name, "none"))
             for one in audit.spurious
         ]
-        said = f"nothing learnt of {', '.join(one.name for one in audit.spurious)}"
+        said = f"no information on {', '.join(one.name for one in audit.spurious)}"
         if sigma:
             learnt = ", ".join(f"{name} to {word}" for name, word in sigma.items())
-            said = f"learnt from measurements that cannot tell it: {learnt}"
+            said = f"claimed, though no measurement observes it: {learnt}"
         return EventFinding(audit, rows, ("spurious", said))
 
 

@@ -20,7 +20,7 @@ class CheckOptimum(Check):
 
     name = "optimum"
     needs = "the smoother"
-    errs = "of 72 logs with many minima no wrong one is verified; of 48 right ones 47 are"
+    errs = "of 72 logs with many minima no wrong optimum is verified; of 48 right optima 47 are"
 
     def find(self, known: Known) -> OfFilter[Optimality]:
         """Return the evidence for S."""

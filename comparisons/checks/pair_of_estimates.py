@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.stamps import at_instants
 from comparisons.plane import pose_difference, rms, squared_distance
@@ -104,7 +104,7 @@ def compare_pair(
         InputError: They share no time.
     """
     if relation not in ("independent", "filter-smoother"):
-        raise InputError(f"relation is {relation!r}, expected independent or filter-smoother")
+        raise InputError(f"relation is {quoted(relation)}, expected independent or filter-smoother")
     time_s = at_instants(first.time_s, second.time_s)
     shared, a, b = np.intersect1d(time_s, second.time_s, return_indices=True)
     if not len(shared):

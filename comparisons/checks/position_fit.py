@@ -11,11 +11,12 @@ from scipy.optimize import least_squares
 from comparisons.arrays import Array
 from comparisons.logs.log import Poses
 from comparisons.plane import turned
+from comparisons.statistics import mean_band
 
-_LEFT = 0.05
-"""Share of the chi-square that a motion may leave."""
-_AS_WELL = 1.5
-"""Times the least that another motion leaves, which then fits as well."""
+_OUTSIDE = 0.001
+"""Share of positions, of a right motion, whose chi-square is outside the band that is asked for."""
+_AS_LIKELY = -2.0 * float(np.log(1e-6))
+"""Chi-square above the least that another motion leaves, which then fits as well."""
 _FEWEST = 4
 """Positions; fewer are fitted by anything."""
 
@@ -43,9 +44,9 @@ class _Motion(NamedTuple):
 def position_fit(seen: Seen, path: Poses) -> str:
     """Return the motions that make positions fit a path, in words, with their figures.
 
-    By weighted least squares, each motion alone. One explains them that leaves 5 % of their
-    chi-square at most; those that leave about as little as the best are named, the one with the
-    fewest parameters first. Empty where none explains them. path: by odometry and landmarks.
+    By weighted least squares, each motion alone. One explains them that leaves a chi-square in its
+    band; those that are about as likely as the best are named, the one with the fewest parameters
+    first. Empty where none explains them. path: by odometry and landmarks.
     """
     if len(seen.time_s) < _FEWEST:
         return ""
@@ -59,11 +60,14 @@ def position_fit(seen: Seen, path: Poses) -> str:
     for one in _motions(seen, path):
         fit = least_squares(lambda p, one=one: residual(one.expected(p)), np.zeros(one.size))
         found.append((one.size, 2.0 * float(fit.cost), one.words(fit.x)))
-    plain = residual(_antenna(path.at(seen.time_s), seen.antenna_m))
-    least = min(left for _, left, _ in found)
-    if least > _LEFT * float(plain @ plain):
-        return ""
-    return ", or ".join(words for _, left, words in sorted(found) if left <= _AS_WELL * least)
+    count = 2 * len(seen.time_s)
+    found = [
+        (size, left, words)
+        for size, left, words in found
+        if mean_band(1, count - size, _OUTSIDE).holds(left)
+    ]
+    least = min((left for _, left, _ in found), default=0.0)
+    return ", or ".join(words for _, left, words in sorted(found) if left <= least + _AS_LIKELY)
 
 
 def _motions(seen: Seen, path: Poses) -> list[_Motion]:

@@ -85,13 +85,18 @@ class RejectedFixes:
         count, fit = len(self.number), len(self.number) - self.unfit_count
         if not self.in_streaks:
             return []
-        return [
+        parts = [
             f"the filter's gate rejected {count} of {self.given} positions, {self.in_streaks} of "
-            f"them in series of {self.LONG} or more in a row (longest {self.longest}); {fit} of "
-            "the rejected positions fit the smoother's optimum, so the filter should have used "
-            "them (ekf.gps_recovery re-admits such positions); "
-            f"{self.unfit_count} do not fit it, so these positions or the smoother are wrong"
+            f"them in series of {self.LONG} or more in a row (longest {self.longest})"
         ]
+        if fit:
+            parts.append(
+                f"{fit} of the rejected positions pass the same gate at the smoother's optimum "
+                "(ekf.gps_recovery re-admits such positions)"
+            )
+        if self.unfit_count:
+            parts.append(f"{self.unfit_count} do not pass it there either")
+        return ["; ".join(parts)]
 
 
 class PositionsFinding(Of[RejectedFixes]):
@@ -109,8 +114,8 @@ class CheckPositions(Check):
             "Positions contradict the other measurements",
             "Most absolute positions fit neither the filter nor the optimum, which rest on "
             "odometry and landmarks alone, since the gate rejected these positions. One of the "
-            "two is wrong. Each known motion was fitted to the residuals, and one that explains "
-            "95 % of their chi-square is named.",
+            "two is wrong. Each known motion was fitted to the residuals, and one whose "
+            "chi-square then lies in its band is named.",
             "Check the antenna's place, the positions' frame and clock, and their sigma.",
         )
     }

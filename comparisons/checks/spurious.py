@@ -75,7 +75,7 @@ class CheckSpurious(Check):
     """Did the filter learn its global heading from measurements that cannot tell it?"""
 
     name = "spurious_heading"
-    needs = "landmarks whose places the filter finds itself"
+    needs = "landmarks that are not surveyed"
     errs = "not at all: it explains a linearisation gap and makes none"
     figures = (("spurious_heading", SpuriousHeadingResult),)
 
@@ -83,7 +83,7 @@ class CheckSpurious(Check):
         """Return what it learnt, with or without positions and prior."""
         found = learnt(run_events(known.ekf))
         if found is None:
-            return Absent("landmarks are surveyed, so measurements tell the heading")
+            return Absent("landmarks are surveyed, so that measurements observe the heading")
         return SpuriousFinding(found)
 
 
@@ -109,15 +109,17 @@ def spurious_heading_result(found: Learnt) -> SpuriousHeadingResult:
 
 def spurious_rows(found: SpuriousHeadingResult) -> list[Row]:
     """Return what the filter learnt of its heading without measuring it."""
-    group = "Heading learnt from measurements that cannot tell it"
+    group = "Absolute heading that no measurement observes"
     if found.sigma_deg is None or found.sigma_deg > _NO_HEADING_DEG:
-        return [Row(group, "standard deviation", "nothing learnt")]
+        return [Row(group, "standard deviation", "none claimed")]
     rows = [Row(group, "standard deviation", f"{found.sigma_deg:.3g} deg")]
     if found.largest is not None:
         begin_s, end_s = found.fastest_s
         share = 100.0 * found.fastest / found.information
         fastest = f"{begin_s:.1f} to {end_s:.1f} s ({share:.0f} % of it)"
-        rows.append(Row(group, "grew fastest", fastest))
+        rows.append(Row(group, "gained fastest", fastest))
         most = found.largest
-        rows.append(Row(group, "most by one update", f"{most.landmark} at {most.time_s:.1f} s"))
+        rows.append(
+            Row(group, "largest gain by one update", f"{most.landmark} at {most.time_s:.1f} s")
+        )
     return rows

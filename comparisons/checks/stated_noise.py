@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from comparisons.checks.check import Check
+from comparisons.checks.diagnosis.other_noise import NAMES, other_noises
 from comparisons.checks.finding import Absent, Of
 from comparisons.figures import Figure, Key, LeftOut, Nominal, finite
 from comparisons.statistics import WORDS
@@ -18,6 +19,7 @@ from comparisons.words import Row
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
+    from graphslam.smoother import SmootherResult
     from graphslam.variance_components import Component
 
 _TESTABLE = 1.5
@@ -25,7 +27,6 @@ _TESTABLE = 1.5
 20 % is seen as wrong about as often as not."""
 _WORTH = 1.2
 """Times the stated sigma, or its inverse, from which a note is due."""
-_NAMES = {"position": "positions", "pose landmark": "pose landmarks", "loop closure": "closures"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,7 @@ class StatedNoise:
     def said(self) -> str:
         """The factor, and what is known of it."""
         if not self.settled:
-            return f"about {self.factor:.1g}, not settled"
+            return f"about {self.factor:.1g}, not converged"
         if finite(self.high) is None:
             return "not testable here"
         interval = f"{_digits(self.low)} to {_digits(self.high)}"
@@ -64,10 +65,9 @@ class StatedNoise:
 class StatedNoiseFinding(Of[tuple[StatedNoise, ...]]):
     """The noise of every sensor."""
 
-    def __init__(self, components: Sequence[Component]) -> None:
+    def __init__(self, components: Sequence[Component], remarks: Sequence[str] = ()) -> None:
         """components: of the smoother's residuals."""
         value = tuple(_noise(one) for one in components)
-        remarks = [remark for one in components for remark in _remark(one)]
         super().__init__(value, remarks=remarks, entries={"stated_noise": value})
 
     def rows(self) -> Sequence[Row]:
@@ -92,7 +92,8 @@ class CheckStatedNoise(Check):
         robust = result.options.robust != "none" or result.reweighted
         if robust or result.lagged is not None:
             return Absent("the smoother does not weight every measurement by its sigma")
-        return StatedNoiseFinding(variance_components(result))
+        components = variance_components(result)
+        return StatedNoiseFinding(components, _remarks(result, components))
 
 
 def _digits(factor: float) -> str:
@@ -102,7 +103,7 @@ def _digits(factor: float) -> str:
 def _noise(one: Component) -> StatedNoise:
     low, high = one.interval()
     return StatedNoise(
-        sensor=_NAMES.get(one.name, one.name),
+        sensor=NAMES.get(one.name, one.name),
         factor=one.factor,
         low=low,
         high=high,
@@ -111,13 +112,21 @@ def _noise(one: Component) -> StatedNoise:
     )
 
 
-def _remark(one: Component) -> list[str]:
-    """Of odometry alone: the innovations of all others have bands of their own."""
-    low, high = one.interval(WORDS)
-    near = low <= 1.0 <= high or 1.0 / _WORTH < one.factor < _WORTH
-    if one.name != "odometry" or not one.settled or near:
-        return []
-    return [
-        f"the noise of the odometry is {one.factor:.2g} times the stated ({low:.2g} to {high:.2g} "
-        "in 99.9 %), by the smoother's residuals"
+def _remarks(result: SmootherResult, components: Sequence[Component]) -> list[str]:
+    """Of odometry alone: the innovations of all others have bands of their own.
+
+    Only where its noise alone explains all residuals; else another fault may have raised it.
+    """
+    odometry = [
+        one
+        for one in components
+        if one.name == "odometry" and not 1.0 / _WORTH < one.factor < _WORTH
     ]
+    remarks = []
+    for one in other_noises(result, odometry):
+        low, high = one.component.interval(WORDS)
+        remarks.append(
+            f"the residuals fit with a noise of the odometry {one.component.factor:.2g} times the "
+            f"stated ({low:.2g} to {high:.2g} in 99.9 %)"
+        )
+    return remarks

@@ -12,7 +12,7 @@ import typer
 from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progress_bar
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.options import GRADE, Flag
 from comparisons.options.table import of_job
 
@@ -157,8 +157,8 @@ def compare(
 
 
 def _print_changes(changes: Sequence[Change], found: Found) -> None:
-    """Print how much holds, then what is worse, with the verdict's causes, better or new."""
-    from comparisons.report.terminal import fit
+    """Print how much holds, if less than before the cause, then what is worse, better or new."""
+    from comparisons.report.terminal import deciding, fit
 
     counts, lines = {}, list[str]()
     for state in ("broken", "better", "new"):
@@ -166,13 +166,14 @@ def _print_changes(changes: Sequence[Change], found: Found) -> None:
         lines += [f"{state}: {change}" for change in some]
         if some:
             counts[state] = f"{len(some)} {state}"
-    if "broken" in counts:
-        lines += [f"cause: {one.gap}: {one.evidence}; {one.hint}" for one in found.causes]
+    listed = f"slamcheck {found.config['job']} -v lists them"
+    why = [line.text for line in deciding(found.causes, listed=listed) if "broken" in counts]
     outcome = "worse" if "broken" in counts else "not worse"
     holding = sum(change.state == "holds" for change in changes)
     parts = [f"{holding} of {len(changes)} figures hold", *counts.values()]
-    lines.insert(0, f"verdict: {outcome} than the baseline; {', '.join(parts)}")
-    text = "".join("\n".join(fit(line, after="  ")) + "\n" for line in lines)
+    verdict = fit(f"verdict: {outcome} than the baseline; {', '.join(parts)}", after="  ")
+    figures = [text for line in lines for text in fit(line, after="  ")]
+    text = "".join(f"{line}\n" for line in (*verdict, *why, *figures))
     print_text(lambda console: console.file.write(text))
 
 
@@ -189,7 +190,7 @@ def _runs(given: int | None, *, estimate: bool) -> int:
         raise InputError("--runs repeats a run; an estimate is as it is: leave --runs out")
     runs = (1 if estimate else 2) if given is None else given
     if not 1 <= runs <= _MOST_RUNS:
-        raise InputError(f"runs is {runs}, expected 1 to {_MOST_RUNS}")
+        raise InputError(f"runs is {quoted(runs)}, expected 1 to {_MOST_RUNS}")
     return runs
 
 
@@ -227,11 +228,11 @@ def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
 
     with progress_bar() as progress:
         if isinstance(config, CheckConfig):
-            from comparisons.estimates.external import read_external
             from comparisons.jobs.check import check
+            from comparisons.pipeline.read import read_estimate
             from comparisons.report.check import CheckReport
 
-            given = read_external(Path(config.estimate), config.times, config.trace)
+            given = read_estimate(config)
             return CheckReport.build(check(log, given, config, progress))
         from comparisons.jobs.run import compare as compare_estimators
         from comparisons.report.run import RunReport

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import Job, do_job, start_job
-from comparisons.cli.support import guarded
-from comparisons.errors import InputError
+from comparisons.cli.support import Output, guarded
+from comparisons.errors import InputError, note
 from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
@@ -39,14 +39,17 @@ def check(given: Given) -> None:
 
     def work(progress: Progress) -> tuple[Job[CheckConfig], ExternalCheck]:
         from comparisons.config import CheckConfig
-        from comparisons.estimates.external import ExternalEstimate, read_external
+        from comparisons.estimates.external import ExternalEstimate
+        from comparisons.pipeline.read import read_estimate
 
         handed_in: list[ExternalEstimate] = []
 
         def read_first(config: CheckConfig) -> None:
             if not config.estimate:
                 raise InputError("--estimate is missing: give a trajectory or an estimate's folder")
-            handed_in.append(read_external(Path(config.estimate), config.times, config.trace))
+            handed_in.append(read_estimate(config))
+            if handed_in[0].source and given.output is not Output.QUIET:
+                note(f"estimate: {handed_in[0].source}")
 
         job = start_job(given, CheckConfig, check=read_first)
         from comparisons.jobs.check import check as check_estimate

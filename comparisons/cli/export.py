@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from comparisons.cli.support import guarded
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 
 
 def export(
@@ -65,5 +65,7 @@ def _format(file: Path, asked: str | None) -> str:
         known = ", ".join(f".{one}" for one in FORMATS)
         raise InputError(f"{file}: its suffix names no format, expected {known}, or --format")
     if suffix in FORMATS and asked not in (None, suffix):
-        raise InputError(f"{file}: its suffix says {suffix}, --format {asked}; give one of them")
+        raise InputError(
+            f"{file}: its suffix says {suffix}, --format {shorten(asked)}; give one of them"
+        )
     return asked or suffix

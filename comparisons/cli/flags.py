@@ -215,7 +215,7 @@ _COMMON = (
         False,
         "--replace",
         hidden=True,
-        help="Replace an output folder that holds another run.",
+        help="Replace an output folder that holds a run of other settings or another log.",
     ),
     _common(
         "log_file",

@@ -9,7 +9,14 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from comparisons.cli.flags import Given
-from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.support import (
+    VERDICTS,
+    Output,
+    guarded,
+    print_result,
+    progress_bar,
+    say_streams,
+)
 from comparisons.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,6 +88,8 @@ def start_job(
     if given.out is not None:
         check_free(given.out)
     log, config, read = read_job(given, kind, base, check)
+    if given.output is not Output.QUIET:
+        say_streams(log, config.log.source)
     folder = given.out or default_folder(config, log.name, base or {})
     check_free(folder, config, replace=given.replace)
     return Job(log, config, folder, read)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from comparisons.cli.flags import argument, log_names, of_flag, set_parameters
-from comparisons.cli.support import guarded
+from comparisons.cli.support import guarded, say_streams
 from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
@@ -40,14 +40,14 @@ def logs(log: str | None, **given: Any) -> None:
         test = found.test
         if found.lacks:
             typer.echo(f"not examined: {found.lacks}")
-        elif found.findings:
+        elif found.words:
             typer.echo(found.words)
             raise typer.Exit(1)
         else:
             fits = "fits its sigmas" if test.reading == "plausible" else f"is {test.reading}"
             typer.echo(
-                f"no fault found in units, signs, columns, clock or sigmas: chi-square {fits} "
-                f"({test.chi2:.4g} for {test.dof} degrees of freedom)"
+                f"no fault found in units, signs, columns, clock or sigmas: chi-square{found.part} "
+                f"{fits} ({test.chi2:.4g} for {test.dof} degrees of freedom)"
             )
 
 
@@ -58,7 +58,9 @@ def _read(log: str, given: dict[str, Any]) -> Log:
 
     asked = {flag.field.removeprefix("log."): given[flag.name] for flag in _FLAGS}
     chosen = {name: value for name, value in asked.items() if value not in (None, [])}
-    return load_log(LogSection.of(source=log, **chosen))
+    found = load_log(LogSection.of(source=log, **chosen))
+    say_streams(found, log)
+    return found
 
 
 def _list() -> None:

@@ -141,7 +141,7 @@ def montecarlo(**values: Any) -> None:
             external = External(commands, given.reuse, theirs)
             outcome = run_study(study, folder, ours, given.scheduler, progress, external)
             progress("report", 0, 0)
-            write_montecarlo(outcome, folder)
+            write_montecarlo(outcome, folder, commands)
             if given.keep is not None:
                 keep_log(study, folder, given.keep)
         print_result(montecarlo_summary(outcome), folder / RESULT, output)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import inspect
 import shlex
 from collections.abc import Sequence
+from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +14,7 @@ import typer
 
 from comparisons.cli.flags import argument, parameter, set_parameters
 from comparisons.cli.support import guarded
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 
 if TYPE_CHECKING:
     from comparisons.logs.plain_csv import PlainTable
@@ -80,7 +82,7 @@ def new_log(folder: Path, **given: Any) -> None:
         files = UserFiles(
             name=folder.resolve().name,
             stated=stated,
-            truth=None if truth is None else _read_truth(truth, units),
+            truth=None if truth is None else partial(_read_truth, truth, units),
             prior_pose=_pose(given["prior_pose"]),
             units=units,
             **{name: given[name] for name in ("odometry", "measurements", "positions")},
@@ -96,7 +98,7 @@ def new_log(folder: Path, **given: Any) -> None:
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
-        if examined.findings:
+        if examined.words:
             typer.echo(f"warning: {examined.words}")
         name = shlex.quote(str(folder))
         typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
@@ -108,27 +110,31 @@ def _units(given: Sequence[str]) -> dict[str, str]:
     for text in given:
         column, equals, unit = text.rpartition("=")
         if not (equals and column and unit):
-            raise InputError(f"--unit is '{text}', expected COLUMN=UNIT, as bearing=deg")
+            raise InputError(f"--unit is '{shorten(text)}', expected COLUMN=UNIT, as bearing=deg")
         found[column] = unit
     return found
 
 
-def _read_truth(path: Path, units: dict[str, str]) -> PlainTable:
-    """Poses of a CSV file with a header, or of a file of numbers alone (TUM)."""
+def _read_truth(path: Path, units: dict[str, str], start_s: int) -> PlainTable:
+    """Poses of a CSV file with a header, or of a file of numbers alone (TUM), after a start."""
     from comparisons.estimates.trajectory_files import read_trajectory_file
     from comparisons.logs.from_arrays import KINDS
     from comparisons.logs.new_log import units_of
     from comparisons.logs.plain_csv import PlainTable, read_plain
+    from comparisons.logs.stamps import after_ns
     from comparisons.logs.table import read_text
 
     names = ("time_s", *KINDS["poses"])
     lines = [line for line in read_text(path).splitlines() if line.strip() and line[0] != "#"]
     if not lines or not lines[0].split()[0][:1].isdigit():
-        return read_plain(path, names, units=units_of(units, "truth"))
+        return read_plain(path, names, units=units_of(units, "truth"), start_s=start_s)
     found = read_trajectory_file(path)
     if found.left_out:
         typer.echo(found.left_out)
-    columns = dict(zip(names, (found.time_s, *found.pose.T), strict=True))
+    time_s = found.time_s - start_s
+    if found.time_ns is not None:
+        time_s = after_ns(found.time_ns, Decimal(start_s))
+    columns = dict(zip(names, (time_s, *found.pose.T), strict=True))
     line = list(range(1, len(found.time_s) + 1))
     return PlainTable(path=path, columns=columns, line=line, origin={}, headers=[])
 
@@ -139,7 +145,9 @@ def _pose(text: str | None) -> tuple[float, float, float] | None:
     try:
         x, y, heading = (float(word) for word in text.split(","))
     except ValueError:
-        raise InputError(f"--prior-pose is {text!r}, expected x,y,heading in m and rad") from None
+        raise InputError(
+            f"--prior-pose is {quoted(text)}, expected x,y,heading in m and rad"
+        ) from None
     return x, y, heading
 
 

@@ -12,11 +12,12 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, note, one_line, printable, unusable_file
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from comparisons.logs.log import Log
     from comparisons.pipeline.clock import Progress
     from comparisons.report.terminal import Summary
 
@@ -91,7 +92,7 @@ def guarded(*, log_file: Path | None = None) -> Iterator[None]:
     except InputError as error:
         fail(str(error), UNUSABLE)
     except OSError as error:
-        fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
+        fail(unusable_file(error), UNUSABLE)
     except MemoryError:
         fail("not enough memory for this log", UNUSABLE)
     except RecursionError:
@@ -161,10 +162,19 @@ def _is(error: Exception, module: str, name: str) -> bool:
     return loaded is not None and isinstance(error, getattr(loaded, name))
 
 
+def say_streams(log: Log, source: str) -> None:
+    """Print which topics of a bag a log was read from, and what of them was left out."""
+    from comparisons.logs.readers import ros_bag, rosbag
+
+    if ros_bag.recognise_bag(Path(source).expanduser()) is not None:
+        for line in rosbag.streams_of(log):
+            note(f"{log.name}: {line}")
+
+
 def fail(message: str, code: int) -> NoReturn:
     """One line on standard error, and the exit code."""
     with suppress(OSError, ValueError):
-        print(f"slamcheck: {printable(' '.join(message.split()))}", file=sys.stderr)
+        print(f"slamcheck: {printable(one_line(' '.join(message.split())))}", file=sys.stderr)
     raise SystemExit(code)
 
 

@@ -1,25 +1,26 @@
 """The events of a planar filter as columns: steps, measurements, new landmarks and positions.
 
-A filter of x, y and heading, whose block comes first, and of points, each a block whose name ends
-in its id. A prediction moves the pose alone. What is fused together is one update, with two rows
-for each measurement.
+A filter of x, y and heading, and of points, each a block of its own. A prediction
+moves the pose alone; copies of it (clones) are the pose of their instant. What is fused together is
+one update: two rows for each measurement, or any of its entries where each row has a number.
 """
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
-from typing import Any, NoReturn
+from collections.abc import Iterator
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.trace import events
 from comparisons.trace.reader import Trace
 
 _POSE, _POINT = 3, 2
-_ID = re.compile(r"(?:.*\D)?(\d{1,18})")
+_NOT_OF_ONE = "has a measurement that is not of one landmark"
+_CORRELATED = "has noise that is correlated between measurements"
 COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
         "time_s": (), "departed": (_POSE,), "arrived": (_POSE,),
@@ -44,8 +45,21 @@ COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
 """By part and name, the shapes of the columns' rows."""
 
 
-def event_arrays(trace: Trace) -> dict[str, Array]:
-    """Return a trace's columns by name, as `trace.npz` of 0.2 had them.
+class PlanarEvents(NamedTuple):
+    """A trace's columns, and the landmarks' blocks.
+
+    arrays: by name, as `trace.npz` of 0.2 had them; a row whose Jacobian is zero is of an entry
+    that was not used. A column of landmarks holds the blocks' indices. blocks: (B,) names, by
+    index, of all blocks that have been. removed: indices of those that the filter has removed.
+    """
+
+    arrays: dict[str, Array]
+    blocks: tuple[str, ...]
+    removed: tuple[int, ...] = ()
+
+
+def event_arrays(trace: Trace) -> PlanarEvents:
+    """Return a trace's columns.
 
     Raises:
         InputError: The file is no trace, or an event is none of such a filter, or lacks its point
@@ -54,17 +68,33 @@ def event_arrays(trace: Trace) -> dict[str, Array]:
     reading = _Reading(trace)
     for event in trace:
         reading.take(event)
-    return reading.arrays()
+    return reading.columns()
+
+
+class _Measured(NamedTuple):
+    """One measurement of an update: residual (2,), jacobian (2, n), noise (2, 2).
+
+    landmark: which of the update's it is of.
+    """
+
+    number: float
+    landmark: int
+    residual: Array
+    jacobian: Array
+    noise: Array
 
 
 class _Reading:
-    """Columns in the making."""
+    """Columns in the making. copies: steps made when each clone of the pose was."""
 
     def __init__(self, trace: Trace) -> None:
         self.path, self.made = trace.path, 0
         self.prior: events.Prior
         self.rows: defaultdict[str, list[Any]] = defaultdict(list)
-        self.ids: dict[str, int] = {}
+        self.names: list[str] = []
+        self.blocks: dict[str, int] = {}
+        self.removed: list[int] = []
+        self.copies: dict[str, int] = {}
 
     def take(self, event: events.Event) -> None:
         """Add an event."""
@@ -81,14 +111,18 @@ class _Reading:
                 self._position(event)
             case events.Update():
                 self._update(event)
+            case events.Clone():
+                self._clone(event)
+            case events.Remove():
+                self._remove(event)
             case events.Snapshot() | events.Directions():
                 pass
             case _:
                 kind = type(event).__name__.lower()
                 self._refuse(event, f"is a {kind}, which a planar filter has not")
 
-    def arrays(self) -> dict[str, Array]:
-        """Return all columns."""
+    def columns(self) -> PlanarEvents:
+        """Return all columns, in the order of the steps made before them."""
         found = {
             f"{part}_{name}": np.array(self.rows[f"{part}_{name}"], dtype=np.float64).reshape(
                 -1, *shape
@@ -96,17 +130,24 @@ class _Reading:
             for part, columns in COLUMNS.items()
             for name, shape in columns.items()
         }
+        for part in ("update", "initialise"):
+            step = found[f"{part}_step"]
+            if (np.diff(step) < 0.0).any():
+                order = np.argsort(step, kind="stable")
+                names = [f"{part}_{name}" for name in COLUMNS[part]]
+                found |= {name: found[name][order] for name in names}
         point = self._sized(self.prior, "point", self.prior.point, _POSE)
-        return {"prior_pose": point, "prior_covariance": self.prior.covariance, **found}
+        arrays = {"prior_pose": point, "prior_covariance": self.prior.covariance, **found}
+        return PlanarEvents(arrays, tuple(self.names), tuple(self.removed))
 
     def _prior(self, event: events.Prior) -> None:
         if event.dims != (_POSE,) or event.charts not in ((), (events.ADDITIVE,), ("se2",)):
-            self._refuse(event, "begins with another state than a pose of x, y and heading")
+            self._refuse(event, "the prior is not of a pose of x, y and heading alone")
         self.prior = event
 
     def _predict(self, event: events.Predict) -> None:
         if event.blocks != self.prior.blocks:
-            self._refuse(event, "moves more than the pose; expected its block alone")
+            self._refuse(event, "predicts more than the pose; expected its block alone")
         if event.time_s is None:
             self._refuse(event, "has no time; set it with at(time_s)")
         self._put(
@@ -119,18 +160,37 @@ class _Reading:
         )
         self.made += 1
 
+    def _clone(self, event: events.Clone) -> None:
+        """Note a copy of the pose, which is the pose of its instant."""
+        if event.source in self.copies:
+            self.copies[event.name] = self.copies[event.source]
+        elif event.source in self.prior.blocks:
+            self.copies[event.name] = self.made
+        else:
+            self._refuse(event, f"copies {quoted(event.source)}; expected a copy of the pose")
+
+    def _remove(self, event: events.Remove) -> None:
+        """Forget copies of the pose; note landmarks, which the estimate does not hold."""
+        for name in event.blocks:
+            if name in self.prior.blocks:
+                self._refuse(event, "removes the pose")
+            if self.copies.pop(name, None) is None:
+                self.removed.append(self.blocks.pop(name))
+
     def _augment(self, event: events.Augment) -> None:
-        found = _ID.fullmatch(event.name)
-        if found is None or len(event.jacobian) != _POINT:
-            self._refuse(event, "begins a block that is no point whose name ends in its id")
-        if event.blocks != self.prior.blocks or event.noise.shape != (_POINT, _POINT):
-            self._refuse(event, "begins a landmark by more than the pose and one measurement")
-        self.ids[event.name] = int(found[1])
+        if len(event.jacobian) != _POINT:
+            width = len(event.jacobian)
+            self._refuse(event, f"block {quoted(event.name)} has {width} entries, expected a point")
+        (source, *others) = event.blocks
+        if others or not self._is_pose(source) or event.noise.shape != (_POINT, _POINT):
+            self._refuse(event, "initialises a landmark by more than the pose and one measurement")
+        self.blocks[event.name] = len(self.names)
+        self.names.append(event.name)
         self._put(
             "initialise",
-            step=self.made,
+            step=self.copies.get(source, self.made),
             measurement=self._sized(event, "numbers", event.numbers, 1)[0],
-            landmark=self.ids[event.name],
+            landmark=self.blocks[event.name],
             weight=event.weight,
             pose=self._sized(event, "point", event.point, _POSE),
             point=self._sized(event, "after", event.after, _POINT),
@@ -140,83 +200,148 @@ class _Reading:
         )
 
     def _position(self, event: events.Update) -> None:
-        count = self._count(event)
-        numbers = self._sized(event, "numbers", event.numbers, count)
         pose = self._sized(event, "point", event.point, _POSE)
-        noise = self._parts(event, count)
-        for k, number in enumerate(numbers):
-            rows = slice(_POINT * k, _POINT * (k + 1))
+        for one in self._measured(event, pose, 0):
             self._put(
                 "position",
                 step=self.made,
-                number=number,
+                number=one.number,
                 weight=event.weight,
                 pose=pose,
-                innovation=event.residual[rows],
-                jacobian_pose=event.jacobian[rows],
-                noise=noise[k],
+                innovation=one.residual,
+                jacobian_pose=one.jacobian,
+                noise=one.noise,
             )
 
     def _update(self, event: events.Update) -> None:
-        blocks, count = event.blocks, self._count(event)
-        if blocks[:1] != self.prior.blocks or not self.ids.keys() >= set(blocks[1:]):
-            self._refuse(event, "is of other blocks than the pose, first, and landmarks")
-        numbers = self._sized(event, "numbers", event.numbers, count)
-        size = _POSE + _POINT * (len(blocks) - 1)
-        point = self._sized(event, "point", event.point, size)
-        noise, h = self._parts(event, count), event.jacobian
-        for k, block in enumerate(self._landmarks(event, blocks, count)):
-            at = _POSE + _POINT * block
-            rows = slice(_POINT * k, _POINT * (k + 1))
+        event, others = self._pose_first(event)
+        step = self.copies.get(event.blocks[0], self.made)
+        point = self._sized(event, "point", event.point, _POSE + _POINT * len(others))
+        for one in self._measured(event, point, len(others)):
+            at = _POSE + _POINT * one.landmark
             self._put(
                 "update",
-                step=self.made,
-                measurement=numbers[k],
-                landmark=self.ids[blocks[1 + block]],
+                step=step,
+                measurement=one.number,
+                landmark=self.blocks[others[one.landmark]],
                 weight=event.weight,
                 pose=point[:_POSE],
                 point=point[at : at + _POINT],
-                innovation=event.residual[rows],
-                jacobian_pose=h[rows, :_POSE],
-                jacobian_landmark=h[rows, at : at + _POINT],
-                noise=noise[k],
+                innovation=one.residual,
+                jacobian_pose=one.jacobian[:, :_POSE],
+                jacobian_landmark=one.jacobian[:, at : at + _POINT],
+                noise=one.noise,
             )
 
-    def _landmarks(self, event: events.Update, blocks: events.Blocks, count: int) -> list[int]:
+    def _pose_first(self, event: events.Update) -> tuple[events.Update, events.Blocks]:
+        """Return an update of a pose, first, and landmarks, and the blocks of these."""
+        blocks = event.blocks
+        where = [k for k, block in enumerate(blocks) if block not in self.blocks]
+        if len(where) != 1 or not self._is_pose(blocks[where[0]]):
+            self._refuse(event, "is of other blocks than one pose and landmarks")
+        (before,) = where
+        others = (*blocks[:before], *blocks[before + 1 :])
+        if not before:
+            return event, others
+        first, size = _POINT * before, _POSE + _POINT * len(others)
+        order = [*range(first, first + _POSE), *range(first), *range(first + _POSE, size)]
+        if event.point is not None:
+            event = event._replace(point=self._sized(event, "point", event.point, size)[order])
+        return event._replace(
+            blocks=(blocks[before], *others), jacobian=event.jacobian[:, order]
+        ), others
+
+    def _is_pose(self, block: str) -> bool:
+        return block in self.prior.blocks or block in self.copies
+
+    def _measured(self, event: events.Update, point: Array, landmarks: int) -> Iterator[_Measured]:
+        """Yield what an update is of: two rows for each measurement, or a row for each number.
+
+        point: of the pose and so many landmarks.
+        """
+        numbers, count = event.numbers, len(event.residual)
+        if numbers is not None and len(numbers) == count:
+            yield from self._of_entries(event, numbers, point, landmarks)
+            return
+        if count % _POINT:
+            self._refuse(
+                event,
+                "has a residual that is not of two entries for each measurement; expected so, or "
+                "numbers with one for each entry",
+            )
+        numbers, noise = self._sized(event, "numbers", numbers, count // _POINT), self._parts(event)
+        for k, landmark in enumerate(self._landmarks(event, landmarks)):
+            rows = slice(_POINT * k, _POINT * (k + 1))
+            residual, jacobian = event.residual[rows], event.jacobian[rows]
+            yield _Measured(numbers[k], landmark, residual, jacobian, noise[k])
+
+    def _landmarks(self, event: events.Update, landmarks: int) -> list[int]:
         """Which of the landmarks each measurement is of: the one that its rows have columns of."""
-        others = len(blocks) - 1
-        if others == 1:
+        count = len(event.residual) // _POINT
+        if landmarks < 2:
             return [0] * count
-        parts = event.jacobian[:, _POSE:].reshape(count, _POINT, others, _POINT)
-        seen = parts.any(axis=(1, 3))
-        if (seen.sum(axis=1) == 1).all():
-            return list(seen.argmax(axis=1).tolist())
-        if count != others:
-            self._refuse(event, "has a measurement that is not of one landmark")
+        parts = event.jacobian[:, _POSE:].reshape(count, _POINT, landmarks, _POINT)
+        touched = parts.any(axis=(1, 3))
+        if (touched.sum(axis=1) == 1).all():
+            return list(touched.argmax(axis=1).tolist())
+        if count != landmarks:
+            self._refuse(event, _NOT_OF_ONE)
         return list(range(count))
 
-    def _parts(self, event: events.Update, count: int) -> Array:
+    def _parts(self, event: events.Update) -> Array:
         """The noise of each measurement (count, 2, 2)."""
+        count = len(event.residual) // _POINT
         if count == 1:
             return event.noise[None]
         parts = event.noise.reshape(count, _POINT, count, _POINT)
         every = np.arange(count)
         own: Array = parts[every, :, every]
         if np.count_nonzero(event.noise) > np.count_nonzero(own):
-            self._refuse(event, "has noise that is correlated between measurements")
+            self._refuse(event, _CORRELATED)
         return own
 
-    def _count(self, event: events.Update) -> int:
-        if len(event.residual) % _POINT:
-            self._refuse(event, "has a residual that is not of two entries for each measurement")
-        return len(event.residual) // _POINT
+    def _of_entries(
+        self, event: events.Update, numbers: Array, point: Array, landmarks: int
+    ) -> Iterator[_Measured]:
+        """Yield measurements of some entries each; one that was not used has zeros, and noise 1."""
+        rows_of: defaultdict[float, list[int]] = defaultdict(list)
+        for row, number in enumerate(numbers.tolist()):
+            rows_of[number].append(row)
+        h, r = event.jacobian, event.noise
+        own = np.zeros(r.shape, dtype=bool)
+        for number, rows in rows_of.items():
+            own[np.ix_(rows, rows)] = True
+            if len(rows) > _POINT:
+                self._refuse(event, "has more than two entries of one measurement")
+            landmark = self._landmark_of(event, rows, landmarks)
+            entries = _entries(h[rows], _expected(point, landmark, landmarks))
+            residual, noise, jacobian = np.zeros(_POINT), np.eye(_POINT), np.zeros((2, h.shape[1]))
+            residual[entries], jacobian[entries] = event.residual[rows], h[rows]
+            noise[np.ix_(entries, entries)] = r[np.ix_(rows, rows)]
+            yield _Measured(number, landmark, residual, jacobian, noise)
+        if r[~own].any():
+            self._refuse(event, _CORRELATED)
+
+    def _landmark_of(self, event: events.Update, rows: list[int], landmarks: int) -> int:
+        """Which landmark some rows of one measurement are of."""
+        if landmarks < 2:
+            return 0
+        parts = event.jacobian[rows, _POSE:].reshape(len(rows), landmarks, _POINT)
+        touched = parts.any(axis=(0, 2))
+        if touched.sum() != 1:
+            self._refuse(event, _NOT_OF_ONE)
+        return int(touched.argmax())
 
     def _sized(self, event: events.Event, name: str, values: Array | None, size: int) -> Array:
         """What `check` needs beside an event's matrices."""
-        if values is None:
-            self._refuse(event, f"has no {name}, which a comparison with a log needs")
+        values = self._needed(event, name, values)
         if len(values) != size:
             self._refuse(event, f"{name} has {len(values)} numbers, expected {size}")
+        return values
+
+    def _needed(self, event: events.Event, name: str, values: Array | None) -> Array:
+        if values is None:
+            self._refuse(event, f"has no {name}, which a comparison with a log needs")
         return values
 
     def _put(self, part: str, **values: Any) -> None:
@@ -225,3 +350,35 @@ class _Reading:
 
     def _refuse(self, event: events.Event, fault: str) -> NoReturn:
         raise InputError(f"{self.path}, event {event.number}: {fault}")
+
+
+def _expected(point: Array, landmark: int, landmarks: int) -> Array:
+    """Jacobian (2, n) of a measurement at a point of pose and landmarks; of a position of none."""
+    if not landmarks:
+        return np.eye(_POINT, _POSE)
+    at = _POSE + _POINT * landmark
+    jacobian = np.zeros((_POINT, len(point)))
+    own = _range_and_bearing(point[:_POSE], point[at : at + _POINT])
+    jacobian[:, :_POSE], jacobian[:, at : at + _POINT] = own[:, :_POSE], own[:, _POSE:]
+    return jacobian
+
+
+def _range_and_bearing(pose: Array, point: Array) -> Array:
+    """Jacobian (2, 5) of range and bearing by pose and point; of no point at the pose."""
+    dx, dy = point - pose[:2]
+    squared = max(dx * dx + dy * dy, np.finfo(float).tiny)
+    along = np.array([dx, dy]) / np.sqrt(squared)
+    across = np.array([-dy, dx]) / squared
+    return np.array([[*-along, 0.0, *along], [*-across, -1.0, *across]])
+
+
+def _entries(rows: Array, expected: Array) -> list[int]:
+    """Which entries of a measurement rows (k, n) of a Jacobian are: those that they are most like.
+
+    expected: (2, n) its whole Jacobian. Signs do not count, for they may be the fault.
+    """
+    size = np.linalg.norm(rows, axis=1)[:, None] * np.linalg.norm(expected, axis=1)
+    like = np.abs(rows @ expected.T) / np.where(size > 0.0, size, 1.0)
+    if len(rows) == 1:
+        return [int(like[0].argmax())]
+    return [0, 1] if like[0, 0] + like[1, 1] >= like[0, 1] + like[1, 0] else [1, 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     FILES,
@@ -23,14 +23,27 @@ from comparisons.estimates.folder import (
     read_scan_landmarks,
     read_trajectory,
 )
+from comparisons.estimates.landmark_names import LandmarkNames, is_whole
 from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
+from comparisons.logs.readers.ros_bag import recognise_bag
+from comparisons.logs.stamps import Nanoseconds
 from comparisons.logs.validation import LARGEST
 from comparisons.shown import Brief
 from ekf_reference.core.layout import Layout
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 Estimator = Literal["ekf", "smoother", "other"]
+
+_NAMED = 4
+"""Landmarks that a sentence names."""
+
+
+class Removed(NamedTuple):
+    """Landmarks that a filter has removed from its map, by id (D,), and in words."""
+
+    landmark_id: tuple[int, ...]
+    words: str
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -52,8 +65,13 @@ class ExternalEstimate(Brief):
         estimator: What made it: `ekf`, `smoother` or `other`.
         trace: Where the filter linearised, for its algebra and model gaps.
         sha256: Of the files that it was read from, by name.
-        left_out: Which poses of its file were not read, and why; empty where all were.
-        labels: Names of landmarks by id, where its file names them by text.
+        left_out: Which poses or covariances of its file were not read, and why; empty where all
+            were.
+        source: What it was read from, where its file holds several estimates.
+        labels: Names of landmarks by id, as its file spells them; none where arrays have ids.
+        time_ns: (K,) the times exactly as its file has them, in whole nanoseconds; None where
+            `time_s` tells as much, as float64 does not of seconds since 1970.
+        removed: Landmarks that its filter has removed; None where nothing shows any.
     """
 
     time_s: Array
@@ -68,34 +86,45 @@ class ExternalEstimate(Brief):
     trace: TraceFile | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     left_out: str = ""
+    source: str = ""
     labels: Mapping[int, str] = field(default_factory=dict)
+    time_ns: Nanoseconds | None = None
+    removed: Removed | None = None
 
     def numbered_as(self, labels: Mapping[int, str]) -> ExternalEstimate:
-        """Return it with the ids that a log has for its landmarks' names.
+        """Return it with the ids that a log has for its landmarks, in the map and in the trace.
 
         Args:
-            labels: Of the log: names by id.
+            labels: Of the log: names by id; none where it has numbers alone.
 
         Returns:
-            The same where its landmarks have no names; names that the log lacks get further ids.
+            The same where there are no landmarks. Names that the log lacks get further ids.
 
         Raises:
-            InputError: The log names landmarks by numbers.
+            InputError: The log names landmarks by numbers and the estimate does not, or a block of
+                the trace is none of the estimate's landmarks.
         """
-        if not self.labels or self.landmark_id is None:
+        if self.landmark_id is None:
             return self
-        if not labels:
-            name = next(iter(self.labels.values()))
+        ids = self.landmark_id.tolist()
+        words = [self.labels.get(number, str(number)) for number in ids]
+        text = next((word for word in words if not is_whole(word)), None)
+        if text is not None and not labels:
             raise InputError(
-                f"the estimate names landmarks by text ('{printable(name)}'), the log by numbers; "
+                f"the estimate names landmarks by text ({quoted(text)}), the log by numbers; "
                 "use the numbers of the log's measurements.csv"
             )
-        known = {text: number for number, text in labels.items()}
-        names = [self.labels.get(i, str(i)) for i in self.landmark_id.tolist()]
-        for name in names:
-            known.setdefault(name, max(known.values()) + 1)
-        ids = np.array([known[name] for name in names], dtype=np.int64)
-        return replace(self, landmark_id=ids, labels={known[name]: name for name in names})
+        names = LandmarkNames(labels, words if self.labels else ids)
+        trace = None if self.trace is None else self.trace.placed(names)
+        gone = [] if trace is None else sorted(set(trace.removed_id) - set(names.numbers))
+        said = f"which its filter removed, {_listed([labels.get(n, str(n)) for n in gone])}"
+        return replace(
+            self,
+            landmark_id=np.array(names.numbers, dtype=np.int64),
+            labels=dict(zip(names.numbers, words, strict=True)) if names.are_labels else {},
+            trace=trace,
+            removed=Removed(tuple(gone), said) if gone else self.removed,
+        )
 
     @classmethod
     def of(cls, estimate: Estimate) -> ExternalEstimate:
@@ -207,18 +236,24 @@ class ExternalEstimate(Brief):
 def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
     """Return an estimate with some of its poses (K,) alone."""
     cover = None if given.pose_covariance is None else given.pose_covariance[rows]
-    return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
+    exact = None if given.time_ns is None else given.time_ns[rows]
+    time_s, pose = given.time_s[rows], given.pose[rows]
+    return replace(given, time_s=time_s, pose=pose, pose_covariance=cover, time_ns=exact)
 
 
 def read_external(
-    path: str | Path, times: str | Path | None = None, trace: str | Path | None = None
+    path: str | Path,
+    times: str | Path | None = None,
+    trace: str | Path | None = None,
+    topics: Sequence[str] = (),
 ) -> ExternalEstimate:
     """Read a trajectory file, or a folder with `trajectory.tum` and more of an estimate folder.
 
     Args:
-        path: A TUM, KITTI or CSV trajectory, or a folder (docs/formats.md).
+        path: A TUM, KITTI or CSV trajectory, a folder, or a ROS bag (docs/formats.md).
         times: The file with the times of a KITTI trajectory; `times.txt` beside it by default.
         trace: What the filter did, as `Recorder` writes it; by default the folder's `filter.trace`.
+        topics: Of a bag, the topic that holds the estimate; by default the only one of poses.
 
     Returns:
         Everything that is there: headings unwrapped, covariances of the additive global error.
@@ -229,6 +264,8 @@ def read_external(
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
+    if recognise_bag(path) is not None:
+        return _read_bag(path, times, trace, topics)
     if path.is_dir():
         if times is not None:
             raise InputError(f"{path}: is a folder; --times is for KITTI files")
@@ -238,17 +275,42 @@ def read_external(
         return replace(_read_folder(path, chosen), sha256=_hashes(own))
     if trace is not None:
         raise InputError(f"{path}: is no folder; --trace needs one, with landmarks.csv")
-    (time_s, pose, covariance, left_out), files = read_with_files(
-        path, None if times is None else Path(times)
-    )
-    if not len(pose):
+    trajectory, files = read_with_files(path, None if times is None else Path(times))
+    if not len(trajectory.pose):
         raise InputError(f"{path}: holds no poses")
     return ExternalEstimate(
-        time_s=time_s,
-        pose=pose,
-        pose_covariance=covariance,
+        time_s=trajectory.time_s,
+        pose=trajectory.pose,
+        pose_covariance=trajectory.covariance,
         sha256=_hashes(files),
-        left_out=left_out,
+        left_out=trajectory.left_out,
+        time_ns=trajectory.time_ns,
+    )
+
+
+def _listed(names: list[str]) -> str:
+    """Return the first of some names, and how many there are."""
+    more = f", ... ({len(names)} in all)" if len(names) > _NAMED else ""
+    return ", ".join(shorten(name) for name in names[:_NAMED]) + more
+
+
+def _read_bag(
+    path: Path, times: str | Path | None, trace: str | Path | None, topics: Sequence[str]
+) -> ExternalEstimate:
+    from comparisons.estimates.bag_estimate import read_bag_estimate
+
+    for option, value in (("--times", times), ("--trace", trace)):
+        if value is not None:
+            raise InputError(f"{path}: is a ROS bag, which {option} does not go with")
+    found = read_bag_estimate(path, topics)
+    return ExternalEstimate(
+        time_s=found.time_ns / 1e9,
+        time_ns=found.time_ns,
+        pose=found.pose,
+        pose_covariance=found.covariance,
+        sha256=_hashes(sorted(path.iterdir()) if path.is_dir() else [path]),
+        left_out=found.left_out,
+        source=found.source,
     )
 
 
@@ -274,7 +336,7 @@ def _hashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
-    time_s, pose = read_trajectory(path / "trajectory.tum")
+    time_s, pose, time_ns = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
     information: Information | None = None
@@ -286,6 +348,7 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
     labels: Mapping[int, str] = {}
     if (path / "landmarks.csv").exists():
         ids, places, labels = read_landmarks(path / "landmarks.csv")
+        labels = labels or {number: str(number) for number in ids.tolist()}
     covariances = _read_covariances(path, len(pose), 0 if places is None else len(places))
     if trace is not None and ids is None:
         raise InputError(f"{trace}: needs landmarks.csv beside the trajectory")
@@ -299,8 +362,9 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         joint_covariance=covariances.joint,
         information=information,
         estimator=estimator,
-        trace=None if trace is None or ids is None else read_trace(trace, ids),
+        trace=None if trace is None else read_trace(trace),
         labels=labels,
+        time_ns=time_ns,
     )
 
 

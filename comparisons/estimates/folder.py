@@ -11,10 +11,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from comparisons.archive import read_archive
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault, toml_text
-from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml, shorten
+from comparisons.logs.stamps import Nanoseconds
+from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
 
@@ -90,7 +91,7 @@ def tum_text(time_s: Array, pose: Array) -> str:
 def read_estimate(folder: Path) -> Estimate:
     """Read a folder. Headings are unwrapped from pose to pose. Raises InputError."""
     meta = read_meta(folder / "estimate.toml")
-    time_s, poses = read_trajectory(folder / "trajectory.tum")
+    time_s, poses, _ = read_trajectory(folder / "trajectory.tum")
     archive_path = folder / "covariances.npz"
     ids, landmark, labels = read_landmarks(folder / "landmarks.csv")
     pose_landmark_id, pose_landmarks = read_scan_landmarks(folder / SCAN_LANDMARKS)
@@ -123,13 +124,16 @@ def read_meta(path: Path) -> Meta:
         raise InputError(f"{path}: {first_fault(error)}") from None
 
 
-def read_trajectory(path: Path) -> tuple[Array, Array]:
-    """Times (K,) and planar poses (K, 3) of a TUM file, headings unwrapped. Raises InputError."""
+def read_trajectory(path: Path) -> tuple[Array, Array, Nanoseconds | None]:
+    """Times (K,) and planar poses (K, 3) of a TUM file, headings unwrapped, and its exact times.
+
+    The last are None where float64 has nanoseconds of them. Raises InputError.
+    """
     tum = Table(path, TUM)
     with tum.locating():
         increasing("trajectory", tum["time_s"])
         within("trajectory", "time_s", tum["time_s"], -LARGEST, LARGEST)
-    return tum["time_s"], planar_poses(tum, "w last")
+    return tum["time_s"], planar_poses(tum, "w last"), tum.nanoseconds("time_s")
 
 
 def planar_poses(table: Table, order: str) -> Array:
@@ -204,8 +208,8 @@ def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array, dict[int, str]
     seen = {""}
     for row, word in enumerate(words):
         if word in seen:
-            fault = f"is '{shorten(word)}' a second time" if word else "is empty"
-            raise InputError(f"{path}:{table.line[row]}: id {fault}, expected a name of its own")
+            fault = f"'{shorten(word)}' appears twice" if word else "is empty"
+            raise InputError(f"{path}:{table.line[row]}: id {fault}, expected each id once")
         seen.add(word)
     if not (np.abs(place) <= LARGEST).all():
         row = int(np.argwhere(~(np.abs(place) <= LARGEST))[0][0])

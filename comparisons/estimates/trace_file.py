@@ -5,16 +5,16 @@ A recorder's trace, or `trace.npz` of 0.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError
-from comparisons.estimates.event_arrays import COLUMNS, event_arrays
+from comparisons.errors import InputError, quoted
+from comparisons.estimates.event_arrays import COLUMNS, PlanarEvents, event_arrays
+from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from comparisons.trace.reader import OUTDATED, Trace
@@ -43,10 +43,14 @@ _WHOLE = ("step", "measurement", "landmark", "number")
 class TraceFile:
     """A filter's trace with the time (N,) at which each step ends, and where it was read.
 
-    Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
-    the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
-    done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
-    remarks: on the file. unsound: which noise, or prior, is no covariance, in words.
+    Landmark indices are those of blocks, the landmarks' names in the file, and once they are
+    `placed`, when there are no blocks, places in the estimate's list of landmarks. Headings are
+    unwrapped along the trace; `spread` and `whitened` are zero, for no gap needs them. rounding:
+    what storing has done to the numbers, relative to them: 2^-24 where all are of single precision,
+    else nothing.
+    remarks: on the file. unsound: which noise, or prior, is no covariance, in words. removed: which
+    blocks the filter has removed; once placed, their landmarks have the places behind the
+    estimate's list, and the numbers removed_id.
     """
 
     path: Path
@@ -55,29 +59,81 @@ class TraceFile:
     remarks: tuple[str, ...]
     unsound: str = ""
     rounding: float = 0.0
+    blocks: tuple[str, ...] = ()
+    removed: tuple[int, ...] = ()
+    removed_id: tuple[int, ...] = ()
 
     @property
     def former(self) -> bool:
         """It is of slamcheck 0.2, and has no events."""
         return self.path.suffix == Path(FORMER).suffix
 
+    @property
+    def measurements_used(self) -> int:
+        """How many measurements of the log it used, each counted once."""
+        uses = self.trace.measurements[POINT], self.trace.initialisations[POINT]
+        number = np.concatenate([one.number for one in uses])
+        return len(np.unique(number[number >= 0]))
 
-def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
-    """Read a trace of a filter whose landmarks have the ids (L,), in the estimate's order.
+    def placed(self, names: LandmarkNames) -> TraceFile:
+        """Return the trace with the places of its blocks' landmarks in the estimate's list.
 
-    Raises InputError naming the event, or the array of a trace of 0.2.
-    """
+        names: of the estimate's landmarks, in their order. Raises InputError unless each of them is
+        initialised once.
+        """
+        if not self.blocks:
+            return self
+        place_of = {number: place for place, number in enumerate(names.numbers)}
+        held = [k for k in range(len(self.blocks)) if k not in set(self.removed)]
+        numbers = names.of_blocks([self.blocks[k] for k in held])
+        if None in numbers:
+            block = quoted(self.blocks[held[numbers.index(None)]])
+            raise InputError(
+                f"{self.path}: block {block} must end in the number or label of a landmark in "
+                "landmarks.csv, or be recorded as removed"
+            )
+        places = np.empty(len(self.blocks), dtype=np.intp)
+        places[held] = [place_of[number] for number in numbers if number is not None]
+        places[list(self.removed)] = len(place_of) + np.arange(len(self.removed))
+        begun = places[self.trace.initialisations[POINT].landmark_index]
+        times = np.bincount(begun, minlength=len(place_of))[: len(place_of)]
+        if (wrong := np.flatnonzero(times != 1)).size:
+            name = names.called(int(wrong[0]))
+            raise InputError(
+                f"{self.path}: landmark {name} is initialised {times[wrong[0]]} times, expected "
+                "once"
+            )
+        removed_id = names.of_removed([self.blocks[k] for k in self.removed])
+        trace = _at_places(self.trace, places)
+        return replace(self, blocks=(), removed=(), removed_id=removed_id, trace=trace)
+
+
+def _at_places(trace: TraceArrays, places: Index) -> TraceArrays:
+    """A trace with places (B,) in the place of blocks' indices."""
+    moved = [
+        {
+            **records,
+            POINT: replace(records[POINT], landmark_index=places[records[POINT].landmark_index]),
+        }
+        for records in (trace.measurements, trace.initialisations)
+    ]
+    return replace(trace, measurements=moved[0], initialisations=moved[1])
+
+
+def read_trace(path: Path) -> TraceFile:
+    """Read a trace. Raises InputError naming the event, or the array of a trace of 0.2."""
     if path.suffix == ".npz":
         outdated = (f"{path.name} {OUTDATED}",)
-        return _checked(path, _former_arrays(path), landmark_id, outdated)
+        arrays = _former_arrays(path)
+        return _checked(path, PlanarEvents(arrays, _former_blocks(arrays)), outdated)
     trace = Trace(path)
-    arrays = event_arrays(trace)
+    planar = event_arrays(trace)
     unsound = ""
-    if trace.unsound:
-        event, what = min(trace.unsound.items())
-        others = len(trace.unsound) - 1
+    if faults := trace.unsound | trace.singular:  # its equations have an inverse of every R
+        event, what = min(faults.items())
+        others = len(faults) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
-    return _checked(path, arrays, landmark_id, trace.remarks, unsound)
+    return _checked(path, planar, trace.remarks, unsound)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -103,20 +159,33 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     return found
 
 
+def _former_blocks(found: dict[str, Array]) -> tuple[str, ...]:
+    """Return the numbers of landmarks as blocks, and put the blocks' indices in their place."""
+    parts = ("update_landmark", "initialise_landmark")
+    numbers, index = np.unique(
+        np.concatenate([found[part] for part in parts]).astype(np.int64), return_inverse=True
+    )
+    split = len(found[parts[0]])
+    found |= {parts[0]: index[:split].astype(float), parts[1]: index[split:].astype(float)}
+    return tuple(map(str, numbers.tolist()))
+
+
 def _checked(
     path: Path,
-    found: dict[str, Array],
-    landmark_id: NDArray[np.int64],
+    planar: PlanarEvents,
     remarks: tuple[str, ...],
     unsound: str = "",
 ) -> TraceFile:
     """Return arrays as a trace, once their contents are checked. unsound: as known so far."""
+    found = planar.arrays
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found)
     unsound = unsound or _unsound(found, rounding)
     _unwrap(found)
-    landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
-    begun, updated = landmark_index["initialise"], landmark_index["update"]
+    begun, updated = (
+        found[f"{part}_landmark"].astype(np.intp) for part in ("initialise", "update")
+    )
+    count = len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
         path=path,
@@ -143,6 +212,8 @@ def _checked(
         remarks=remarks,
         unsound=unsound,
         rounding=rounding,
+        blocks=planar.blocks,
+        removed=planar.removed,
     )
 
 
@@ -233,27 +304,3 @@ def _unwrap(found: dict[str, Array]) -> None:
         apart = reached[found[f"{part}_step"].astype(np.intp)] - pose[:, 2]
         pose[:, 2] += 2.0 * np.pi * np.round(apart / (2.0 * np.pi))
         found[f"{part}_pose"] = pose
-
-
-def _landmark_indices(
-    path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]
-) -> dict[str, Index]:
-    """Places (M,) of the landmarks in the estimate, each initialised once before it is updated."""
-    order = np.argsort(landmark_id)
-    landmark_indices: dict[str, Index] = {}
-    for part in ("update", "initialise"):
-        ids = found[f"{part}_landmark"].astype(np.int64)
-        stray = ids[~np.isin(ids, landmark_id)]
-        if len(stray):
-            raise InputError(
-                f"{path}: {part}_landmark holds {stray[0]}, which is not in landmarks.csv"
-            )
-        landmark_indices[part] = order[np.searchsorted(landmark_id[order], ids)]
-    times = np.bincount(landmark_indices["initialise"], minlength=len(landmark_id))
-    wrong = np.flatnonzero(times != 1)
-    if len(wrong):
-        raise InputError(
-            f"{path}: landmark {landmark_id[wrong[0]]} is initialised {times[wrong[0]]} times, "
-            "expected once"
-        )
-    return landmark_indices

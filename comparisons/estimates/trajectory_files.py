@@ -21,6 +21,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
 from comparisons.logs.from_arrays import COVARIANCE, KINDS
 from comparisons.logs.plain_csv import PlainTable, need, read_plain
+from comparisons.logs.stamps import Nanoseconds
 from comparisons.logs.table import Table, first_record, is_number
 from comparisons.logs.validation import LARGEST, increasing, within
 
@@ -40,13 +41,15 @@ _EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 class Trajectory(NamedTuple):
     """time_s: (K,). pose: (K, 3) x, y [m], heading [rad], unwrapped. covariance: (K, 3, 3).
 
-    left_out: how many poses of the file were, and why; empty where none.
+    left_out: how many poses of the file were, and why; empty where none. time_ns: (K,) the times
+    exactly as written; None where time_s tells as much, as it does not of seconds since 1970.
     """
 
     time_s: Array
     pose: Array
     covariance: Array | None = None
     left_out: str = ""
+    time_ns: Nanoseconds | None = None
 
 
 def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
@@ -71,15 +74,21 @@ def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, 
         table = Table(
             path, (*_EUROC, *(f"column {len(_EUROC) + i + 1}" for i in range(more))), comma=True
         )
-        return _timed(table, table["time_ns"] / 1e9, planar_poses(table, "w first")), (path,)
+        time_s, time_ns = table["time_ns"] / 1e9, table.nanoseconds("time_ns", 10**9)
+        return _timed(table, time_s, planar_poses(table, "w first"), time_ns=time_ns), (path,)
     if any(mark in first for mark in ",;\t") and not all(map(is_number, first.split())):
         return _read_csv(path), (path,)
     table = Table(path, TUM)
-    return _timed(table, table["time_s"], planar_poses(table, "w last")), (path,)
+    time_ns = table.nanoseconds("time_s")
+    return _timed(table, table["time_s"], planar_poses(table, "w last"), time_ns=time_ns), (path,)
 
 
 def _timed(
-    table: Table | PlainTable, time_s: Array, pose: Array, covariance: Array | None = None
+    table: Table | PlainTable,
+    time_s: Array,
+    pose: Array,
+    covariance: Array | None = None,
+    time_ns: Nanoseconds | None = None,
 ) -> Trajectory:
     """Poses whose times rise, the first of those whose times repeat. Raises InputError."""
     unit = _too_large_for_seconds(time_s)
@@ -105,7 +114,8 @@ def _timed(
             f"(first at {time_s[int(np.argmin(kept))]:.6f} s) and were left out"
         )
     covariance = None if covariance is None else covariance[kept]
-    return Trajectory(time_s[kept], pose[kept], covariance, left_out)
+    time_ns = None if time_ns is None else time_ns[kept]
+    return Trajectory(time_s[kept], pose[kept], covariance, left_out, time_ns)
 
 
 def _too_large_for_seconds(time_s: Array) -> str:
@@ -159,7 +169,7 @@ def _read_csv(path: Path) -> Trajectory:
     data = np.column_stack([found[name] for name in columns])
     covariance = symmetric(data[:, 4:]) if has else None
     pose = np.column_stack((data[:, 1:3], np.unwrap(data[:, 3])))
-    return _timed(table, data[:, 0], pose, covariance)
+    return _timed(table, data[:, 0], pose, covariance, table.time_ns)
 
 
 def _read_kitti(path: Path, times: Path) -> Trajectory:
@@ -177,7 +187,8 @@ def _read_kitti(path: Path, times: Path) -> Trajectory:
         norm = np.hypot(table["r00"], table["r10"])
         within("trajectory", "rotation's norm", norm, 0.99, 1.01)
     heading = np.unwrap(np.arctan2(table["r10"], table["r00"]))
-    return _timed(clock, clock["time_s"], np.column_stack((table["x"], table["y"], heading)))
+    pose = np.column_stack((table["x"], table["y"], heading))
+    return _timed(clock, clock["time_s"], pose, time_ns=clock.nanoseconds("time_s"))
 
 
 def _csv_text(trajectory: Trajectory) -> str:

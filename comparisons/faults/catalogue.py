@@ -48,9 +48,9 @@ _COLUMNS: dict[str, Callable[[float, float, float], models.Column]] = {
     "cosine and sine are exchanged": lambda e, n, t: (-e, n),
     "the x row has the opposite sign": lambda e, n, t: (n, e),
     "the y row has the opposite sign": lambda e, n, t: (-n, -e),
-    "the turn stands for the way in the x row": lambda e, n, t: (-n * t, e),
-    "the turn stands for the way in the y row": lambda e, n, t: (-n, e * t),
-    "the turn stands for the way": lambda e, n, t: (-n * t, e * t),
+    "the turn is used in place of the distance in the x row": lambda e, n, t: (-n * t, e),
+    "the turn is used in place of the distance in the y row": lambda e, n, t: (-n, e * t),
+    "the turn is used in place of the distance": lambda e, n, t: (-n * t, e * t),
 }
 """Errors in the heading's column of F."""
 _SIGNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
@@ -142,6 +142,15 @@ def own_start(log: Log, covariance: Array) -> Fault:
         if np.abs((covariance - other) / np.outer(sigma, sigma)).max() <= ROUNDING:
             what = named
     return Fault(what, feed=lambda log: _with_prior(log, covariance))
+
+
+def is_setting(what: str) -> bool:
+    """Return whether a fault is one of a filter's own settings: where it starts, and padding of Q.
+
+    Args:
+        what: The fault in words, as of this catalogue.
+    """
+    return what.startswith(("the prior's covariance", "the stabilisation noise"))
 
 
 def families(log: Log) -> Iterator[Family]:

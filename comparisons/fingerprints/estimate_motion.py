@@ -91,6 +91,20 @@ def integrations_by_steps(
     return found or (() if own else None)
 
 
+def distance_by_steps(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> float | None:
+    """Return how far [m] an estimate's steps are from those of the nearest integration.
+
+    given: as of integrations_of. None where it has no steps with nothing fused.
+    """
+    log = prepared.log
+    if isinstance(log.odometry, RelativePoses):
+        return None
+    steps = _steps_of(given, prepared.timeline)
+    if not len(steps.row):
+        return None
+    return min(steps.apart(log, one) for one in (*get_args(Named), *steps.several(log)))
+
+
 def _kept(
     name: str, prepared: Prepared[SolveConfig], given: ExternalEstimate, beside: Companion
 ) -> Reference | None:

@@ -171,4 +171,4 @@ def _integrated(log: Log) -> Iterator[tuple[str, Log]]:
         ours = log.integration or own_integration(log.odometry)
         for other in get_args(Named):
             if other != ours:
-                yield f"its steps lead {in_words(other)}", replace(log, integration=other)
+                yield f"it integrates steps {in_words(other)}", replace(log, integration=other)

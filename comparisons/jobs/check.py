@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
@@ -31,6 +30,7 @@ from comparisons.checks.diagnosis.diagnosis import (
 )
 from comparisons.checks.diagnosis.duplicate_landmarks import duplicate_cause, duplicates
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts, paths_beside, undone
+from comparisons.checks.diagnosis.model_differences import PREDICTIONS
 from comparisons.checks.external_agreement import (
     Coverage,
     ExternalAgreement,
@@ -39,30 +39,59 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
-from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
+from comparisons.checks.grade import (
+    GRADES,
+    LIKE_SIGMA,
+    LIKE_VARIANCE,
+    Grade,
+    Likeness,
+    Part,
+    likeness,
+)
 from comparisons.checks.model import HINT as MODEL_HINT
 from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
+from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Outcome, Verdict
-from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
+from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
 from comparisons.estimates.reference import Reference
+from comparisons.faults.catalogue import is_setting
+from comparisons.fingerprints.clock import (
+    counts_as_file,
+    on_file_clock,
+    on_log_clock,
+    works_with_floats,
+    written_from_floats,
+)
+from comparisons.fingerprints.data_use import (
+    LeftOut,
+    SelectedMeasurements,
+    find_left_out,
+    labelled_as,
+    left_out_of,
+    with_removed,
+    without,
+)
 from comparisons.fingerprints.estimate_motion import (
     in_words,
     integrations_by_steps,
     integrations_of,
 )
+from comparisons.fingerprints.map_labels import map_labels
 from comparisons.fingerprints.search import fault_cause, fingerprints
+from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
-from comparisons.logs.stamps import at_instants, rounded, since_origin
-from comparisons.logs.transforms.clock import file_start, timed_by_floats
+from comparisons.logs.stamps import at_instants, rounded
+from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.known import Given, Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import (
     APART,
     EKF,
@@ -116,6 +145,8 @@ class ExternalCheck(Shown):
         agreement: The estimate against the smoother.
         coverage: Share of the log's time that it covers.
         trace: The filter's own gaps, where it handed in a trace.
+        consequences: Kinds of causes that the first one explains, as was computed: the reference
+            filter with this fault equals the estimate.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
         log: As it was read, where the solution's has other integration or times.
@@ -146,6 +177,7 @@ class ExternalCheck(Shown):
     qualifiers: tuple[str, ...] = ()
     inconsistent: tuple[str, ...] | None = None
     departure: Departure | None = None
+    consequences: tuple[str, ...] = ()
     log: Log | None = None
     reproduced: bool = False
 
@@ -223,15 +255,16 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
-    given = given.numbered_as(log.labels)
+    given = with_removed(given.numbered_as(log.labels), log)
     job, found = job.clocked(given)
+    job = replace(job, log=_selected(job.log, found))
     unsound = given.trace is not None and given.trace.unsound
     if not (found.exact or unsound or len(found.inside.time_s) < FEWEST):
         progress("motion models", 0, 0)
         found = job.integrated(found, ORDERS)
         found = _with_departure(job.explained(found) or job.moved_back(found) or found)
     instants_s = found.solution.prepared.timeline.instants_s()
-    if said := rounded(given.time_s, _by_its_clock(given.time_s, log, instants_s)):
+    if said := rounded(given.time_s, on_file_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
     return _qualified(replace(found, log=log))
 
@@ -243,12 +276,13 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
     consistency, beside = known.value(ConsistencyFinding), known.remarks
     if found.reproduced and consistency is not None and consistency.remarks:
         beside = [one for one in beside if one not in consistency.remarks]
-        beside.append("what is outside its band (consistency) follows from the fault above")
+        found = replace(found, consequences=(*found.consequences, "consistency"))
     judged = qualified(
         replace(verdict, remarks=(*found.remarks, *beside)),
         known.value(TruthGapFinding),
         unchecked="",
         consistency=known.value(ConsistencyFinding),
+        unused=known.value(UnusedPositionsFinding),
         fail_on=(),
     )
     return replace(
@@ -277,29 +311,54 @@ class _Job:
     def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
 
-        One that counts as the log's file does, since 1970, has them as floats tell them, if it is
-        not equal by exact ones alone.
+        One that counts as the log's file does, since 1970, may have read these stamps as floats;
+        both are tried to the end only where the poses of a smoother do not tell.
         """
         stamped = [given.time_s] + ([given.trace.step_time_s] if given.trace is not None else [])
-        by_files = any(_by_the_files_clock(one, self.log) for one in stamped)
+        by_files = any(counts_as_file(one, self.log) for one in stamped)
         if isinstance(self.log.odometry, RelativePoses) or not by_files:
             return self, self.started(given)
         by_floats = replace(self, log=timed_by_floats(self.log))
-        first = by_floats.started(given)
-        exact = first if first.grade.value == "equal" else self.started(given)
-        if exact is first or exact.grade.value != "equal":
-            return by_floats, first
-        return self, exact
+        prepared = [prepare_solve(job.log, job.config) for job in (self, by_floats)]
+        floats = works_with_floats(given, *prepared)
+        jobs = [self, by_floats]
+        if floats or (floats is None and written_from_floats(given)):
+            jobs.reverse()
+        first = jobs[0].started(given)
+        if floats is None and given.may_be("smoothed") and first.grade.value != "equal":
+            second = jobs[1].started(given)
+            if second.grade.value == "equal":
+                return jobs[1], second
+        return jobs[0], first
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
-        prepared = self.own.prepared
+        prepared = prepare_solve(self.log, self.config)
         instants_s = prepared.timeline.instants_s()
-        given = _on_the_logs_clock(given, self.log, instants_s)
+        given = on_log_clock(given, self.log, instants_s)
         placed = replace(given, time_s=at_instants(given.time_s, instants_s))
+        left_out = self._left_out(placed, prepared)
+        if left_out is not None:
+            other = replace(self, log=without(self.log, left_out.rows))
+            return _saying(left_out.said(self.log), other._started(given, placed))
+        return self._started(given, placed)
+
+    def _started(self, given: ExternalEstimate, placed: ExternalEstimate) -> ExternalCheck:
+        """The same once what is left out is. placed: at the log's instants."""
         inside = with_poses(placed, within_log(placed, self.own.estimate))
-        found = integrations_by_steps(inside, prepared)
+        found = integrations_by_steps(inside, self.own.prepared)
         return self._moving(given, found) if found else self._graded(given, self.own)
+
+    def _left_out(
+        self, placed: ExternalEstimate, prepared: Prepared[SolveConfig]
+    ) -> LeftOut | None:
+        """What the filter of a trace left out by a rule, if it is one of the log's labels."""
+        file, count = placed.trace, len(self.log.measurements.landmark)
+        if file is None or file.unsound or not prepared.labelled:
+            return None
+        if self.log.known_landmarks is not None or file.measurements_used == count:
+            return None
+        return left_out_of(self.log, trace_run(placed, prepared)[0])
 
     def _graded(self, given: ExternalEstimate, solution: Solution) -> ExternalCheck:
         require, least = self.config.require, self.config.min_coverage
@@ -320,18 +379,62 @@ class _Job:
         log = replace(self.log, integration=integrations[0])
         again = self._graded(given, self.solver(log, self.config, self.progress))
         steps = " or ".join(in_words(one) for one in integrations)
-        said = f"the estimate's steps lead {steps}; so do those of references and smoother"
-        return replace(again, remarks=(said, *again.remarks))
+        said = f"the estimate integrates steps {steps}; references and smoother do so, too"
+        return _saying(said, again)
 
     def explained(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same once a fault reproduces the estimate, or it is sound; None where neither is."""
         if first.outcome == "agree":
             return first
-        found = _of_sigma_points(first) or _named(first, self.progress) or _within_spread(first)
+        found = self.by_map(first) or self.selected(first)
+        found = (
+            found
+            or _of_sigma_points(first)
+            or _named(first, self.progress)
+            or _within_spread(first)
+        )
         if found is None and first.variants:
             other = self.integrated(first, FILTERS)
             found = other if other.outcome == "agree" else _within_spread(other)
         return found
+
+    def by_map(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same beside references that associate as the estimate's map says, if it is like one.
+
+        None where a trace says how its filter did, or the log's labels do.
+        """
+        solution = first.solution
+        if first.trace is not None or solution.prepared.labelled:
+            return None
+        implied = map_labels(first.inside, solution.log.measurements, solution.landmark_index)
+        if implied is None:
+            return None
+        log = labelled_as(solution.log, implied.label)
+        given = with_removed(first.given, log)
+        again = self._graded(given, self.solver(log, self.config, self.progress))
+        found = again if again.outcome == "agree" else self.selected(again)
+        return found and _saying(implied.said(), found)
+
+    def selected(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same beside references that leave out what its filter seems to, if it is like one.
+
+        None where a trace says what its filter used, or labels do not say of what they are.
+        """
+        prepared = first.solution.prepared
+        known = prepared.labelled and prepared.log.known_landmarks is None
+        if first.trace is not None or not known or not first.peers or first.peers[0].smoothed:
+            return None
+        sound = likeness(first.inside, first.peers[0], labelled=True)
+        found = find_left_out(first.inside, prepared, sound)
+        if found is None:
+            return None
+        left_out, near = found
+        log = without(prepared.log, left_out.rows)
+        again = self._graded(first.given, self.solver(log, self.config, self.progress))
+        if again.outcome != "agree" and near.grade is not None and not again.coverage.short:
+            again = replace(again, variants=(*again.variants, near.reference))
+            again = _sound(again, near, near.grade)
+        return _saying(left_out.said(self.log), again) if again.outcome == "agree" else None
 
     def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same where the estimate is explained once a motion of all of it is undone.
@@ -359,7 +462,7 @@ class _Job:
         found = self.explained(self.integrated(self.started(other), ORDERS))
         if found is None or found.grade.by is None:
             return None
-        near, then = found.grade.by, "what is left has the cause that follows"
+        near, then = found.grade.by, "the rest of the difference has the next cause"
         if found.outcome == "agree" and found.grade.value == "plausible":
             then = "the estimate is plausible beside the smoother"
         elif found.outcome == "agree":
@@ -370,32 +473,15 @@ class _Job:
         return replace(first, causes=causes, remarks=found.remarks, reproduced=found.reproduced)
 
 
-def _by_the_files_clock(time_s: Array, log: Log) -> bool:
-    """Whether times (K,), in order, count as the log's file does, and not as the log's do."""
-    start_s = float(file_start(log))
-    begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
-    first_s, last_s = time_s[[0, -1]] - start_s
-    return start_s > end_s and first_s <= end_s and last_s >= begin_s
+def _selected(log: Log, found: ExternalCheck) -> Log:
+    """Return the log that a check was made by, without what the estimate's filter left out."""
+    seen = found.solution.log.measurements
+    return replace(log, measurements=seen) if isinstance(seen, SelectedMeasurements) else log
 
 
-def _by_its_clock(time_s: Array, log: Log, instants_s: Array) -> Array:
-    """Return a log's instants as times (K,) in order count."""
-    return instants_s + float(file_start(log)) * _by_the_files_clock(time_s, log)
-
-
-def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
-    """Return an estimate whose times count as the log's, if they count as the log's file does.
-
-    A bag's stamps count from 1970, the log's times from the first of them. Trajectory and trace
-    may count differently: each is seen by its own times. instants_s: of the log.
-    """
-    start_s, time_s, trace = float(file_start(log)), given.time_s, given.trace
-    if _by_the_files_clock(time_s, log):
-        exact_s = at_instants(time_s, _by_its_clock(time_s, log, instants_s))
-        time_s = since_origin(exact_s, start_s, instants_s)
-    if trace is not None and _by_the_files_clock(trace.step_time_s, log):
-        trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
-    return replace(given, time_s=time_s, trace=trace)
+def _saying(remark: str, found: ExternalCheck) -> ExternalCheck:
+    """Return a check with a remark before all others."""
+    return replace(found, remarks=(remark, *found.remarks))
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
@@ -415,7 +501,7 @@ def _with_departure(found: ExternalCheck) -> ExternalCheck:
 
 
 def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
-    """Name the fault with which the reference filter reproduces an estimate, if one does."""
+    """Name the fault that makes the reference filter reproduce an estimate, if one does."""
     prepared, sound, inside = found.solution.prepared, found.grade.by, found.inside
     filters = [peer for peer in found.peers if not peer.smoothed]
     if not filters:
@@ -429,19 +515,56 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
     known = fingerprints(inside, prepared, sound, progress, several=several)
     if not known:
         return None
-    first, others = known[0], found.causes
+    if said := _without_effect(known[0], sound, found):
+        return _sound(_saying(said, found), sound, "like")
+    first, others, follow = known[0], found.causes, tuple[str, ...]()
     if first.exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
-    if first.whole:
+    if first.whole:  # the same poses, landmarks and covariances, so all that differs from sound
+        follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
         others = tuple(_following(one) for one in others)
     causes = (fault_cause(known, sound), *others)
-    return replace(found, causes=causes, reproduced=first.whole)
+    return replace(found, causes=causes, consequences=follow, reproduced=first.whole)
 
 
 def _following(found: Cause) -> Cause:
     """A trace's cause beside the fault that explains it: what the trace itself shows stays."""
     general = found.hint.startswith((ALGEBRA_HINT, MODEL_HINT))
     return found if not general else replace(found, hint="a consequence of the fault above")
+
+
+def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -> str:
+    """Say that an estimate differs from a sound one by a setting that changes nothing in the end.
+
+    "" for what is no setting of the filter's start and noise, and where it changes the last pose or
+    the map, or the trace differs from the models in more.
+    """
+    if not (known.whole and is_setting(known.fault)) or sound.missing or sound.unmapped:
+        return ""
+    if found.trace is not None and not _of_settings(found.trace):
+        return ""
+    poses, *others = sound.parts
+    last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
+    if not all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in (last, *others)):
+        return ""
+    ends = replace(sound, parts=(last, *others))
+    low, high = ends.variances or (1.0, 1.0)
+    return (
+        f"{known.fault}: with this {sound.reference.name} equals the estimate "
+        f"({known.sigma:.1g} sigma); without it the last pose and the map differ by at most "
+        f"{ends.sigma:.2g} sigma, and by variances of {low:.3g} to {high:.3g} times"
+    )
+
+
+def _of_settings(traced: TraceCheck) -> bool:
+    """Whether a trace differs from the models in the prior and the noise of predictions alone."""
+    causes = {one.gap for one in traced.verdict.causes} & set(FILTER_FAULTS)
+    differences = traced.known.records.differences
+    return causes <= {"model"} and all(
+        one.relation == "priors"
+        or (one.relation == PREDICTIONS and one.quantity == "the noise covariance")
+        for one in differences
+    )
 
 
 def _filter_like(found: ExternalCheck) -> Likeness | None:
@@ -510,6 +633,7 @@ def check_external(
     """
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
     instants_s = solution.prepared.timeline.instants_s()
+    given = given.numbered_as(solution.prepared.log.labels)
     given = replace(given, time_s=at_instants(given.time_s, instants_s))
     inside = with_poses(given, within_log(given, solution.estimate))
     unsound = "" if given.trace is None else given.trace.unsound
@@ -559,7 +683,7 @@ def check_external(
     small = []
     if outcome == "agree":
         small = [
-            f"{one.gap}, though the grade suffices: {one.evidence}"
+            f"warning (grade reached): {one.gap}: {one.evidence}"
             for one in causes
             if one.gap in FILTER_FAULTS
         ]
@@ -750,7 +874,9 @@ def _causes(grade: Graded, known: list[Cause], found: ExternalAgreement) -> tupl
     causes = list(known)
     if found.against and grade.value in ("wrong", None):
         hint = (
-            "check the causes before this one" if known else "check associations, signs and noise"
+            "probably a consequence of the causes above"
+            if known
+            else "check associations, signs and noise"
         )
         causes.append(Cause("optimum", "; ".join(found.against), hint))
     if not causes and not grade.enough and grade.by is not None:
@@ -846,14 +972,11 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
     if absent := given.absent:
         if "landmarks" in absent:
             absent = [one for one in absent if one in ("landmarks", "pose covariances")]
-        judged = ["the last pose"] if found.last is not None else []
-        judged += ["landmarks"] if found.landmarks else []
-        judged.append(
-            "the position of every pose"
-            if given.pose_covariance is None
-            else "the covariance of every pose"
+        compared = ["poses"] if given.pose_covariance is None else ["poses", "pose covariances"]
+        compared += ["landmarks"] if found.landmarks else []
+        remarks.append(
+            f"the estimate has no {', no '.join(absent)}; compared {' and '.join(compared)} only"
         )
-        remarks.append(f"the estimate has no {', no '.join(absent)}; compared: {', '.join(judged)}")
     if given.left_out:
         remarks.append(given.left_out)
     if len(found.time_s) < len(given.time_s):
@@ -869,6 +992,8 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
             remarks.append(
                 "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"
             )
+    if given.removed is not None:
+        remarks.append(f"landmarks of the log that the map lacks: {given.removed.words}")
     if found.unmatched:
         remarks.append(f"{found.unmatched} landmarks of the estimate are not in the smoother's map")
     return remarks

@@ -14,7 +14,7 @@ from comparisons.adapters.smoother_input import recorded_system_of
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.audit.consistency import event_innovations
-from comparisons.audit.own_filter import run_events
+from comparisons.audit.own_filter import residuals_at_points, run_events
 from comparisons.checks.agreement import Agreement, Allowed, Gap, GapFigures, Gaussian, gap_figures
 from comparisons.checks.algebra import HINT
 from comparisons.checks.causes import FILTER_FAULTS
@@ -36,7 +36,7 @@ from comparisons.checks.diagnosis.single_precision import (
     computed_in_single,
     restored_traces,
 )
-from comparisons.checks.diagnosis.trace_recursion import replay, turned_as_corrected
+from comparisons.checks.diagnosis.trace_recursion import Replay, replay, turned_as_corrected
 from comparisons.checks.registry import OF_FILTER
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import SolveConfig
@@ -65,7 +65,9 @@ from ekf_reference.core.trace import TraceArrays
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions
 
-_RECORD = f"{HINT}; a snapshot of the covariance, recorded after each event, has the event named"
+_ROUNDED = 1e-9
+"""Difference of a pose, relative to it or to one, that is rounding."""
+_RECORD = f"{HINT}; record a snapshot after each event and the faulty one is named"
 
 
 _SURE_TURN_RAD = 1.5
@@ -121,7 +123,8 @@ def trace_run(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> tuple
     if log.known_landmarks is not None:
         raise InputError(f"{log.name}: traces are not checked on logs with known landmarks")
     own, theirs = _timelines(file, float(given.time_s[-1]), prepared.timeline)
-    return _as_run(given, file, theirs, prepared.positions), own
+    run = _as_run(given, file, theirs, prepared.positions)
+    return _with_removed(run, file.removed_id), own
 
 
 def _file(given: ExternalEstimate) -> TraceFile:
@@ -143,7 +146,8 @@ def check_trace(
     filter used the same measurements of the same landmarks. Raises InputError where an equation is
     singular.
     """
-    run, own = followed
+    recorded, own = followed
+    run = _at_points(recorded)
     file, log, positions = _file(given), prepared.log, prepared.positions
     known = given.joint_covariance is not None
     clock = Clock()
@@ -178,12 +182,12 @@ def check_trace(
     found = Answers(before, OF_FILTER).known
     verdict, agreement, trace = judge(found), gaps.agreement, run.trace
     algebra = agreement.algebra if known else None
-    causes = {one.gap for one in verdict.causes}
-    sensors = event_innovations(run_events(run), run.sensors)
+    causes, held = {one.gap for one in verdict.causes}, len(_last(given).landmark)
+    sensors = event_innovations(run_events(recorded), run.sensors)
     return TraceCheck(
         known=found,
         sensors=sensors,
-        own=_own_equations(run) if known and causes.isdisjoint(FILTER_FAULTS) else None,
+        own=_own_equations(run, held) if known and causes.isdisjoint(FILTER_FAULTS) else None,
         departure=_departure(given, found, causes),
         algebra=algebra,
         verdict=verdict,
@@ -205,29 +209,38 @@ def _departure(given: ExternalEstimate, known: Known, causes: set[str]) -> Depar
         found.append(model_departure(given, known.records.differences, log))
     if "algebra" in causes:
         with np.errstate(all="ignore"):  # a wrong filter may have broken down
-            own = _own_equations(run)
+            own = _own_equations(run, len(run.estimate.landmark))
         found.append(departure_from(given, [own], log, run.timeline))
     left = (one for one in found if one is not None)
     return min(left, key=lambda one: one.time_s, default=None)
 
 
-def _own_equations(run: EkfRun) -> Reference:
-    """The filter of a trace's equations, as a reference at the epochs."""
-    landmarks, epochs_s = len(run.estimate.landmark), run.timeline.epoch_time_s
-    again = replay(run.trace, run.timeline.steps_until(), landmarks, np.float64)
+def _own_equations(run: EkfRun, landmarks: int) -> Reference:
+    """The filter of a trace's equations, as a reference at the epochs.
+
+    landmarks: how many of the map the estimate holds; the filter has removed the others.
+    """
+    epochs_s, size = run.timeline.epoch_time_s, 3 + POINT.width * landmarks
+    again = _replayed(run)
     return Reference(
         name="a filter of its trace's equations",
         time_s=epochs_s,
         known=np.ones(len(epochs_s), dtype=bool),
         pose=again.pose,
         pose_covariance=again.covariance,
-        landmark_id=run.estimate.landmark_id,
-        landmark=again.last.mean[3:].reshape(-1, 2),
-        joint_covariance=again.last.covariance,
+        landmark_id=run.estimate.landmark_id[:landmarks],
+        landmark=again.last.mean[3:size].reshape(-1, 2),
+        joint_covariance=again.last.covariance[:size, :size],
         joint_s=float(epochs_s[-1]),
         span_s=(float(epochs_s[0]), float(epochs_s[-1])),
         labels=run.estimate.labels,
     )
+
+
+def _replayed(run: EkfRun) -> Replay:
+    """The recorded equations, filtered again."""
+    landmarks = len(run.estimate.landmark)
+    return replay(run.trace, run.timeline.steps_until(), landmarks, np.float64)
 
 
 @dataclass(frozen=True, repr=False)
@@ -461,6 +474,45 @@ def _as_run(
         fix_number=np.unique(trace.positions.number),
         rejected_fixes=0,
     )
+
+
+def _with_removed(run: EkfRun, removed_id: tuple[int, ...]) -> EkfRun:
+    """Return a run whose estimate has the landmarks, too, that its filter has removed.
+
+    They are what the recorded equations tell of them, given what was handed in of the others.
+    """
+    if not len(removed_id):
+        return run
+    e, more = run.estimate, len(removed_id)
+    ids = np.append(e.landmark_id, np.array(removed_id, dtype=np.int64))
+    unknown = np.concatenate((e.landmark, np.full((more, 2), np.nan)))
+    whole = replace(run, estimate=replace(e, landmark_id=ids, landmark=unknown))
+    told, size = _replayed(whole).last, 3 + e.landmark.size
+    mean = np.concatenate((run.departed[-1], e.landmark.ravel()))
+    p, across = told.covariance, told.covariance[size:, :size]
+    by = np.linalg.lstsq(p[:size, :size], across.T, rcond=None)[0].T
+    place = told.mean[size:] + by @ (mean - told.mean[:size])
+    held = e.joint_covariance
+    rest = p[size:, size:] - by @ across.T + by @ held @ by.T
+    joint = np.block([[held, held @ by.T], [by @ held, 0.5 * (rest + rest.T)]])
+    landmark = np.concatenate((e.landmark, place.reshape(-1, 2)))
+    estimate = replace(e, landmark_id=ids, landmark=landmark, joint_covariance=joint)
+    return replace(run, estimate=estimate)
+
+
+def _at_points(run: EkfRun) -> EkfRun:
+    """Return a run whose residuals are z - h(point), as least squares take them.
+
+    Those of iterated updates are not, which are linearised at another pose than that of arrival.
+    """
+    trace, used = run.trace, run.trace.measurements[POINT]
+    steps, first = np.unique(used.step, return_index=True)
+    arrived = np.vstack((trace.prior_pose, trace.arrived))[steps]
+    off = np.abs(used.pose[first] - arrived)
+    if not (off > _ROUNDED * np.maximum(1.0, np.abs(arrived))).any():
+        return run
+    seen = replace(used, innovation=residuals_at_points(run))
+    return replace(run, trace=replace(trace, measurements={**trace.measurements, POINT: seen}))
 
 
 def _largest_turn(trace: TraceArrays) -> float:

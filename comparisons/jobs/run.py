@@ -23,6 +23,7 @@ from comparisons.checks.finding import Finding
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.checks.spurious import SpuriousFinding
+from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import RunConfig, config_class
 from comparisons.errors import InputError
@@ -253,6 +254,7 @@ def _judged(known: Known, unchecked: str) -> Comparison:
             known.value(TruthGapFinding),
             unchecked=unchecked,
             consistency=known.value(ConsistencyFinding),
+            unused=known.value(UnusedPositionsFinding),
             fail_on=prepared.config.fail_on,
         ),
     )
@@ -278,8 +280,8 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
     if pairs > MOST_PAIRS:
         return None, (
             f"the association is unchecked: {pairs / 1e6:.1f} million pairs of measurement and "
-            f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are many for the smoother's own; "
-            "ask for it with --smoother-association own"
+            f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are not tried "
+            "by default; --smoother-association own does"
         )
     return config_class(name).of().build(prepared.config), ""
 

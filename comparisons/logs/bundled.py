@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.logs.log import Log
 from comparisons.logs.readers import READERS, read_log
-from comparisons.logs.table import shorten
 
 
 @dataclass(frozen=True)
@@ -25,23 +24,29 @@ class SimulationChoices:
 
     def __post_init__(self) -> None:
         if self.seed < 0:
-            raise InputError(f"--seed is {self.seed}, expected 0 or more")
+            raise InputError(f"--seed is {quoted(self.seed)}, expected 0 or more")
         if not 1 <= self.loops <= 1000:
-            raise InputError(f"--loops is {self.loops}, expected 1 to 1000")
+            raise InputError(f"--loops is {quoted(self.loops)}, expected 1 to 1000")
         if not 0 < self.noise_scale <= 1e6:
-            raise InputError(f"--noise-scale is {self.noise_scale}, expected above 0, at most 1e6")
+            raise InputError(
+                f"--noise-scale is {quoted(self.noise_scale)}, expected above 0, at most 1e6"
+            )
 
 
 _SIMULATED = ("--seed", "--loops", "--noise-scale")
 
 
 class NamedLog(NamedTuple):
-    """A log by name: what it is, how to get it, the options that it takes, where it is from."""
+    """A log by name: what it is, how to get it, the options that it takes, where it is from.
+
+    inconsistent: what it is known for, if an EKF is not consistent on it.
+    """
 
     what: str
     open: Callable[[SimulationChoices], Log]
     takes: tuple[str, ...] = _SIMULATED
     kind: str = "simulated"
+    inconsistent: str = ""
 
 
 def _victoria_park(choices: SimulationChoices) -> Log:
@@ -84,6 +89,7 @@ NAMED: dict[str, NamedLog] = {
         _victoria_park,
         (),
         "bundled with gtsam",
+        "the known example of EKF inconsistency: disagree is to be expected",
     ),
     "simulated-loop": NamedLog(
         "255 m loop among 60 landmarks (Nieto 2005, section 2.9)", _simulated_loop
@@ -140,7 +146,7 @@ def open_log(
     if format_name is None and name in NAMED and not Path(name).exists():
         _check_takes(name, NAMED[name].takes, robot, choices)
         if topics:
-            raise InputError(f"--topic {topics[0]}: {name} is not a ROS bag")
+            raise InputError(f"--topic {shorten(topics[0])}: {name} is not a ROS bag")
         return NAMED[name].open(choices)
     path = Path(name)
     if not exists(path):
@@ -167,4 +173,4 @@ def _check_takes(name: str, takes: tuple[str, ...], robot: int, choices: Simulat
         if value != default and option not in takes:
             kind = "MR.CLAM folders" if option == "--robot" else "simulated logs"
             known = f"it takes {', '.join(takes)}" if takes else f"{option} is for {kind}"
-            raise InputError(f"{name}: {option} {value} does not apply; {known}")
+            raise InputError(f"{name}: {option} {shorten(value)} does not apply; {known}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.arrays import Array, symmetric
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, shorten
 from comparisons.logs.log import (
     NO_LANDMARK,
     Columns,
@@ -301,7 +301,9 @@ def _columns(
     if missing := [name for name in needed if name not in given]:
         raise InputError(f"{stream}: {missing[0]} is missing, expected {', '.join(known)}")
     if unknown := [name for name in given if name not in known]:
-        raise InputError(f"{stream}: {unknown[0]} is unknown, expected one of {', '.join(known)}")
+        raise InputError(
+            f"{stream}: {shorten(unknown[0])} is unknown, expected one of {', '.join(known)}"
+        )
     count = np.size(given["time_s"]) if "time_s" in given else np.size(given["x_m"])
     found: dict[str, Any] = {}
     for name, value in given.items():

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, printable
+from comparisons.errors import InputError, RecordError, printable, quoted
 from comparisons.logs.odometry import Integration, Odometry, RelativePoses, poses_at
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
+    LARGEST_ID,
     Stream,
     check,
     distinct,
@@ -71,7 +72,9 @@ class LandmarkMeasurements(Stream, Brief):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
-            raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
+            raise InputError(
+                f"measurements: label_gate is {quoted(self.label_gate)}, expected above 0"
+            )
         check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
         increasing("measurements", self.time_s, equal=True)
         refuse("measurements", self.range_m <= 0, "range_m", self.range_m, "above 0")
@@ -133,7 +136,9 @@ class Positions(Stream, Brief):
     def __post_init__(self) -> None:
         antenna = tuple(float(value) for value in self.antenna_m)
         if len(antenna) != 2 or not np.isfinite(antenna).all():
-            raise InputError(f"positions: antenna_m is {self.antenna_m}, expected two numbers")
+            raise InputError(
+                f"positions: antenna_m is {quoted(self.antenna_m)}, expected two numbers"
+            )
         object.__setattr__(self, "antenna_m", antenna)
         check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
         increasing("positions", self.time_s)
@@ -240,7 +245,9 @@ class Prior(Brief):
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", float(self.time_s))
         if not abs(self.time_s) <= LARGEST:
-            raise InputError(f"prior: time_s is {self.time_s}, expected at most {LARGEST:g}")
+            raise InputError(
+                f"prior: time_s is {quoted(self.time_s)}, expected at most {LARGEST:g}"
+            )
         for name, shape in (("pose", (3,)), ("covariance", (3, 3))):
             value = frozen(getattr(self, name))
             object.__setattr__(self, name, value)
@@ -301,6 +308,7 @@ class Log(Shown):
         object.__setattr__(self, "name", printable(self.name))
         texts = {printable(k): printable(v) for k, v in self.provenance.items()}
         object.__setattr__(self, "provenance", texts)
+        _names_by_number(self)
         start = self.prior.time_s
         scanned = any(s is not None and len(s.time_s) for s in (self.scans, self.clouds))
         self._check_loop_closures()
@@ -425,8 +433,7 @@ class Log(Shown):
     @property
     def labels(self) -> dict[int, str]:
         """Names of landmarks by id, where its file names them by text; empty where by numbers."""
-        numbers = json.loads(self.provenance.get("labels", "{}"))
-        return {number: text for text, number in numbers.items()}
+        return _names_by_number(self)
 
     @property
     def duration_s(self) -> float:
@@ -450,3 +457,20 @@ class Log(Shown):
         if isinstance(self.odometry, RelativePoses):
             counts["odometry"] -= int(np.isnan(self.odometry.covariance[:, 0, 0]).sum())
         return counts
+
+
+def _names_by_number(log: Log) -> dict[int, str]:
+    """The labels that the provenance has as JSON. Raises InputError."""
+    text = log.provenance.get("labels", "{}")
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    numbers: list[Any] = list(found.values()) if isinstance(found, dict) else [None]
+    whole = all(type(number) is int and abs(number) < LARGEST_ID for number in numbers)
+    if not whole or len(set(numbers)) < len(numbers):
+        raise InputError(
+            f"{log.name}: provenance: labels is {quoted(text)}, expected a JSON object of names "
+            'and whole numbers, each once, as {"oak": 0, "elm": 1}'
+        )
+    return dict(zip(numbers, found, strict=True))

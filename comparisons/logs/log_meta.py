@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, printable, shorten
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.scans import Mount
-from comparisons.logs.table import read_toml, shorten
+from comparisons.logs.table import read_toml
 
 MARK = "log.toml"
 

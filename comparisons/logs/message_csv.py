@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.from_arrays import COVARIANCE
-from comparisons.logs.table import is_number, shorten
+from comparisons.logs.table import is_number
 
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _BETWEEN = re.compile(r"[^a-z0-9]+")

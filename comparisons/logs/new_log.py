@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, quoted, shorten
 from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
@@ -25,7 +25,6 @@ from comparisons.logs.plain_csv import (
     split_unit,
 )
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
-from comparisons.logs.stamps import since
 from graphslam.increments import Samples, dead_reckoned
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
@@ -68,7 +67,8 @@ class UserFiles:
     """What a user has, and what he states.
 
     stated: by column, such as `sigma_range_m`, what holds for all rows: numbers in SI, or texts,
-    "1" in the unit of the column that the sigma is of, or "1deg". truth: its poses, already read.
+    "1" in the unit of the column that the sigma is of, or "1deg". truth: reads its poses, by what
+    times count from.
     kind: of odometry, None where the columns say. units: by `COLUMN` or `STREAM:COLUMN`, of values
     whose header names no unit. prior_pose: (x, y, heading) at the first odometry. imu: yaw
     rates in place of the odometry's.
@@ -79,7 +79,7 @@ class UserFiles:
     measurements: Path
     stated: Mapping[str, float | str]
     positions: Path | None = None
-    truth: PlainTable | None = None
+    truth: Callable[[int], PlainTable] | None = None
     truth_landmarks: Path | None = None
     kind: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
@@ -126,7 +126,8 @@ def build(files: UserFiles) -> Found:
     reading.check_instants(log)
     reading.check_units()
     notes = [f"{stream}: {_origins(t, limits=True)}" for stream, t in reading.tables.items()]
-    return Found(log, _remarks(files, log), notes + reading.notes)
+    start = _start(files, log)
+    return Found(log, _remarks(start), [*notes, _start_words(log, start), *reading.notes])
 
 
 class _Reading:
@@ -149,7 +150,7 @@ class _Reading:
             table = self._with_imu(table, self.files.imu)
         self.kind = self.files.kind or self._kind(table)
         if self.kind not in KINDS:
-            raise InputError(f"--kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
+            raise InputError(f"--kind is {quoted(self.kind)}, expected one of {', '.join(KINDS)}")
         needed = ("time_s", *KINDS[self.kind])
         need(table, needed)
         moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
@@ -184,11 +185,18 @@ class _Reading:
             raise InputError(f"{path}: expected at least two samples of times that increase")
         slack = 2.0 * float(np.median(np.diff(at_s)))
         ends = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
-        if at_s[0] > time_s[0] + slack or at_s[-1] < time_s[-1] - slack:
+        inside = (time_s >= at_s[0] - slack) & (time_s <= at_s[-1] + slack)
+        if inside.sum() < max(2, len(inside) / 2):
             raise InputError(
                 f"{path}: from {at_s[0]:.3f} to {at_s[-1]:.3f} s, expected yaw rates for the "
                 f"odometry's {time_s[0]:.3f} to {time_s[-1]:.3f} s"
             )
+        if not inside.all():
+            self.notes.append(
+                f"left out: {int((~inside).sum())} of {len(inside)} odometry, outside the time of "
+                "the yaw rates"
+            )
+            table, time_s, ends = table.rows(inside), time_s[inside], ends[inside]
         rate = imu.columns["yaw_rate_radps"]
         turned = np.append(0.0, np.cumsum(np.diff(at_s) * (rate[1:] + rate[:-1]) / 2))
         begin, end = (np.clip(one, at_s[0], at_s[-1]) for one in (time_s, ends))
@@ -248,10 +256,8 @@ class _Reading:
         """Columns of the truth's poses."""
         if self.files.truth is None:
             return None
-        need(self.files.truth, ("time_s", *KINDS["poses"]))
-        table = self.tables["truth"] = self.files.truth
-        if self.start_s:
-            return table.columns | {"time_s": since(table.columns["time_s"], self.start_s)}
+        table = self.tables["truth"] = self.files.truth(self.start_s or 0)
+        need(table, ("time_s", *KINDS["poses"]))
         return table.columns
 
     def truth_landmarks(self) -> dict[str, Any] | None:
@@ -373,8 +379,8 @@ class _Reading:
         number, unit = split_unit(text)
         if number is None or unit not in ("", *units):
             raise InputError(
-                f"{OPTIONS[name]} is '{text}', expected a number, or one with a unit behind it: "
-                f"{', '.join(units)}"
+                f"{OPTIONS[name]} is '{shorten(text)}', expected a number, or one with a unit "
+                f"behind it: {', '.join(units)}"
             )
         if unit:
             return number * units[unit]
@@ -392,7 +398,10 @@ class _Reading:
         known = {one for table in self.tables.values() for one in table.stated}
         for given, unit in self.files.units.items():
             if given.rpartition(":")[2] not in known:
-                raise InputError(f"--unit {given}={unit}: no file has such a column that is read")
+                raise InputError(
+                    f"--unit {shorten(given)}={shorten(unit)}: no file has such a column that "
+                    "is read"
+                )
 
     def _within(self, stream: str, table: PlainTable) -> PlainTable:
         """The records during the odometry; the others are left out, and counted aloud."""
@@ -496,14 +505,36 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
     return text + (f"; not used: {unused}" if unused else "")
 
 
-def _remarks(files: UserFiles, log: Log) -> dict[str, str]:
-    """Comments on what was stated and what is a default."""
+def _start(files: UserFiles, log: Log) -> str:
+    """Where the pose of the start comes from."""
     if files.prior_pose is not None:
-        pose = "--prior-pose"
-    elif log.prior.pose.any():
-        pose = "default: the true pose at that time; --prior-pose gives another"
-    else:
-        pose = "default: the origin; --prior-pose gives another"
+        return "given"
+    poses, start_s = log.truth.poses, log.prior.time_s
+    if poses is None:
+        return "origin"
+    if poses.time_s[0] <= start_s <= poses.time_s[-1]:
+        return "from truth"
+    late_s = float(poses.time_s[0] - start_s)
+    if late_s > 0.0:
+        return f"origin, although truth begins {late_s:.3g} s later; --prior-pose gives another"
+    return f"origin, although truth ends {start_s - float(poses.time_s[-1]):.3g} s earlier"
+
+
+def _start_words(log: Log, start: str) -> str:
+    """The pose of the start, and where it comes from."""
+    x, y, heading = log.prior.pose.tolist()
+    return f"start: {x:.4g} m, {y:.4g} m, {heading:.4g} rad ({start})"
+
+
+_POSE = {
+    "given": "--prior-pose",
+    "from truth": "default: the true pose at that time; --prior-pose gives another",
+}
+
+
+def _remarks(start: str) -> dict[str, str]:
+    """Comments on what was stated and what is a default."""
+    pose = _POSE.get(start, "default: the origin; --prior-pose gives another")
     return {
         "sigma_speed_mps": "--sigma-speed",
         "wheelbase_m": "--wheelbase",

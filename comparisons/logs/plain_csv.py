@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -23,11 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.from_arrays import COVARIANCE, GAPS, LABELS, TWIST
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
-from comparisons.logs.stamps import origin
-from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text, shorten
+from comparisons.logs.stamps import (
+    Nanoseconds,
+    nanoseconds,
+    origin,
+    resolved_by_floats,
+    seconds_after,
+)
+from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text
 
 SEE = "see docs/your-own-log.md"
 _DEGREE = pi / 180
@@ -94,8 +100,9 @@ class PlainTable:
 
     headers: of the file, in its order. unit: of each column that is not in SI, in words. factor: of
     each column, to SI. used: headers that are read. stated: the names under which units were given
-    that a column has. start_s: what times count from. A column of numbers that is empty throughout
-    is not there.
+    that a column has. start_s: what times count from. time_ns: the times exactly as written, where
+    nothing is subtracted and float64 lacks nanoseconds of them. A column of numbers that is empty
+    throughout is not there.
     """
 
     path: Path
@@ -108,12 +115,14 @@ class PlainTable:
     used: frozenset[str] = frozenset()
     stated: frozenset[str] = frozenset()
     start_s: int = 0
+    time_ns: Nanoseconds | None = None
 
     def rows(self, kept: NDArray[np.bool_]) -> PlainTable:
         """Those in some of the rows (N,), booleans."""
         columns = {name: np.asarray(column)[kept] for name, column in self.columns.items()}
         line = np.array(self.line, dtype=np.int64)[kept].tolist()
-        return replace(self, columns=columns, line=line)
+        exact = None if self.time_ns is None else self.time_ns[kept]
+        return replace(self, columns=columns, line=line, time_ns=exact)
 
     def locating(self) -> AbstractContextManager[None]:
         """Turn a RecordError about a row of this table into one that names file and line."""
@@ -167,12 +176,18 @@ def read_plain(
     columns: dict[str, Any] = {}
     unit: dict[str, str] = {}
     factor: dict[str, float] = {}
+    time_ns: Nanoseconds | None = None
     for name, source in sources.items():
         header = "', '".join(lines.names[place] for place in source.places)
         if name in LABELS:
             columns[name] = np.array(lines.words(source.places[0], text=True), dtype=str)
         elif name == "time_s":
-            columns[name], start_s, unit[name] = _times(lines, source, header, start_s)
+            stamps, unit[name] = _times(lines, source, header)
+            if start_s is None:
+                start_s = origin(float(min(stamps, default=0)))
+            columns[name] = seconds_after(stamps, start_s)
+            if not resolved_by_floats(columns[name]):
+                time_ns = nanoseconds(stamps)
         elif len(source.places) > 1:
             columns[name] = _heading(lines, source)
         else:
@@ -193,6 +208,7 @@ def read_plain(
         used=frozenset(lines.names[p] for s in sources.values() for p in s.places),
         stated=frozenset(source.stated for source in sources.values() if source.stated),
         start_s=start_s or 0,
+        time_ns=time_ns,
     )
 
 
@@ -338,13 +354,13 @@ def _stated(lines: _Lines, name: str, source: _Source, units: Mapping[str, str])
     unit = units[given].removeprefix("-")
     if unit not in known or (unit != units[given] and name not in _SIGNED):
         raise InputError(
-            f"--unit {given}={units[given]}: the unit is unknown, expected "
+            f"--unit {shorten(given)}={shorten(units[given])}: the unit is unknown, expected "
             f"{', '.join(known) or 'none'}"
         )
     if source.unit is not None and known[source.unit] != known[unit]:
         raise InputError(
-            f"--unit {given}={units[given]}: '{shorten(header)}' of {lines.path} says "
-            f"{source.unit}, expected the same"
+            f"--unit {shorten(given)}={shorten(units[given])}: '{shorten(header)}' of "
+            f"{lines.path} says {source.unit}, expected the same"
         )
     return source._replace(unit=units[given], stated=given)
 
@@ -438,38 +454,36 @@ def _heading(lines: _Lines, source: _Source) -> Array:
     return heading_of(np.column_stack(parts), lines.path, lines.line)
 
 
-def _times(
-    lines: _Lines, source: _Source, header: str, start_s: int | None
-) -> tuple[Array, int, str]:
-    """Seconds after a start, each rounded once, the start, and what their unit was taken for."""
-
-    def after(stamps: Iterable[Decimal]) -> tuple[Array, int]:
-        every = list(stamps)
-        start = origin(float(min(every, default=0))) if start_s is None else start_s
-        return np.array([float(one - start) for one in every]), start
-
+def _times(lines: _Lines, source: _Source, header: str) -> tuple[list[Decimal], str]:
+    """Seconds exactly as they are written, and what their unit was taken for."""
     if len(source.places) > 1:
-        parts = [lines.words(place) for place in source.places]
-        if all(word.isdigit() for words in parts for word in words):
-            both = zip(*parts, strict=True)
-            return *after(Decimal(s) + Decimal(ns).scaleb(-9) for s, ns in both), "s and ns"
+        parts = [_decimals(lines, place) for place in source.places]
+        return [s + ns.scaleb(-9) for s, ns in zip(*parts, strict=True)], "s and ns"
     words = lines.words(source.places[0])
     if words and all(_ISO.fullmatch(word) for word in words):
-        return *after(_iso_s(lines, row, word) for row, word in enumerate(words)), "ISO 8601"
-    values = _numbers(lines.path, words, lines.line, "time_s", header)
+        return [_iso_s(lines, row, word) for row, word in enumerate(words)], "ISO 8601"
+    values = _decimals(lines, source.places[0])
     unit, how = source.unit, "" if not source.stated else " by --unit"
-    most = float(np.abs(values).max(initial=0.0))
+    largest = max(range(len(values)), key=lambda row: abs(values[row]), default=None)
+    most = 0.0 if largest is None else float(abs(values[largest]))
     if unit is None:
         unit = _by_size(most)
         how = ", by their size" if unit != "s" else ""
-    elif most / _PER_SECOND[unit] > _SECONDS_END:
+    elif largest is not None and most / _PER_SECOND[unit] > _SECONDS_END:
         raise InputError(
-            f"{lines.path}:{lines.line[int(np.abs(values).argmax())]}: '{shorten(header)}' is "
+            f"{lines.path}:{lines.line[largest]}: '{shorten(header)}' is "
             f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s; name the column "
             f"'time_{_by_size(most)}' if that is its unit"
         )
-    found = after(Decimal(word) / _PER_SECOND[unit] for word in words)
-    return *found, "" if unit == "s" and not how else f"{unit}{how}"
+    text = "" if unit == "s" and not how else f"{unit}{how}"
+    return [one / _PER_SECOND[unit] for one in values], text
+
+
+def _decimals(lines: _Lines, place: int) -> list[Decimal]:
+    """The numbers of a column exactly as they are written."""
+    words = lines.words(place)
+    _numbers(lines.path, words, lines.line, "time_s", lines.names[place])
+    return [Decimal(word) for word in words]
 
 
 def _by_size(most: float) -> str:

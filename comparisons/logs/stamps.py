@@ -1,14 +1,58 @@
-"""Time stamps: when two are of the same instant."""
+"""Time stamps: read from their decimals, and when two are of the same instant.
+
+Words of a file become seconds after a start by `seconds_after`, of which every reader of text makes
+its times: the start is subtracted before anything is rounded. float64 has only a quarter of a
+microsecond of seconds since 1970.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from decimal import Decimal
+
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 
+Nanoseconds = NDArray[np.int64]
 _RESOLUTION_S = 1e-9
 """Of times, which float64 must have."""
 _CHANCE = 1e-6
+_PER_SECOND = 10**9
+_WHOLE_NS = 2**63 - 1
+"""The largest number of nanoseconds that int64 holds: the year 2262."""
+
+
+def seconds_after(
+    words: Iterable[str | Decimal], start: int | Decimal = 0, per_second: int = 1
+) -> Array:
+    """Return the seconds (N,) after a start, each rounded once, of times as they are written.
+
+    words: decimal digits, or the numbers that they spell, in units of which `per_second` are a
+    second. start: in seconds.
+    """
+    return np.array([float(Decimal(word) / per_second - start) for word in words], dtype=float)
+
+
+def nanoseconds(words: Iterable[str | Decimal], per_second: int = 1) -> Nanoseconds | None:
+    """Return times (N,) as they are written, in whole nanoseconds; None beyond the year 2262."""
+    scale = Decimal(_PER_SECOND) / per_second
+    whole = [int((Decimal(word) * scale).to_integral_value()) for word in words]
+    if any(abs(one) > _WHOLE_NS for one in whole):
+        return None
+    return np.array(whole, dtype=np.int64)
+
+
+def after_ns(time_ns: Nanoseconds, start: Decimal) -> Array:
+    """Return the seconds (N,) after a start, in seconds, of nanoseconds (N,)."""
+    begin = int((start * _PER_SECOND).to_integral_value())
+    return np.array([(one - begin) / _PER_SECOND for one in time_ns.tolist()], dtype=float)
+
+
+def resolved_by_floats(time_s: Array) -> bool:
+    """Whether float64 has nanoseconds of times (N,), as it has not of seconds since 1970."""
+    return bool(np.spacing(np.abs(time_s).max(initial=0.0)) <= _RESOLUTION_S)
 
 
 def origin(first_s: float) -> int:
@@ -19,15 +63,6 @@ def origin(first_s: float) -> int:
 def resolved(time_s: Array) -> Array:
     """Times as epochs have them: to the nanosecond, where a float tells as much."""
     return np.where(np.spacing(np.abs(time_s)) < 1e-10, np.round(time_s, 9), time_s)
-
-
-def since(time_s: Array, start_s: float) -> Array:
-    """Times after a start, without the digits that a float of many seconds does not tell.
-
-    Stamps since 1970 are told to a microsecond; their difference is that of the decimals written.
-    """
-    decimals = int(np.floor(-np.log10(np.spacing(max(abs(start_s), 1.0)))))
-    return np.round(time_s - start_s, min(decimals, 9))
 
 
 def at_instants(time_s: Array, instants_s: Array) -> Array:
@@ -72,9 +107,13 @@ def rounded(time_s: Array, instants_s: Array) -> str:
 
 def since_origin(time_s: Array, start_s: float, instants_s: Array) -> Array:
     """Times (K,) after a start, as instants (J,) have those that a float of many seconds tells."""
-    after = time_s - start_s
-    nearest = _nearest(after, instants_s)
-    return np.where(np.abs(nearest - after) <= 2.0 * np.spacing(abs(start_s)), nearest, after)
+    return as_floats_tell(time_s - start_s, start_s, instants_s)
+
+
+def as_floats_tell(after_s: Array, start_s: float, instants_s: Array) -> Array:
+    """Times (K,) after a start as instants (J,), where a float of both together is the same."""
+    nearest = _nearest(after_s, instants_s)
+    return np.where(np.abs(nearest - after_s) <= 2.0 * np.spacing(abs(start_s)), nearest, after_s)
 
 
 def _nearest(time_s: Array, instants_s: Array) -> Array:

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import re
 import tomllib
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, check_regular, printable
+from comparisons.errors import InputError, RecordError, check_regular, shorten, unusable_file
+from comparisons.logs.stamps import Nanoseconds, nanoseconds, resolved_by_floats, seconds_after
 
 _TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
+PACKED = {".gz": "gzip", ".bz2": "bz2"}
+"""Modules that unpack files, by suffix."""
+_MOST_BYTES = 256 * 2**20
+_DAMAGED = "damaged, or not packed as its suffix says, expected a whole gzip or bzip2 file"
 _QUOTED = re.compile(r"""\"[^"\n]*"|'[^'\n]*'""")
+_LONG_INTEGER = re.compile(r"[0-9a-fA-F_]{16}")
 _BETWEEN = re.compile(r"[=,#\[\]{}\n]")
 """Ends a dotted key of TOML."""
 
@@ -68,12 +77,25 @@ class Table:
         if not np.isfinite(self.data[:, required]).all() or np.isinf(self.data).any():
             self._explain(text)
         for place in [at for at, name in enumerate(columns) if start_s and name in _TIMES]:
-            words = (line.split(self._delimiter)[place] for line in records)
-            self.data[:, place] = [float(Decimal(word.strip()) - start_s) for word in words]
+            self.data[:, place] = seconds_after(self._words(records, place), start_s)
 
     def __getitem__(self, column: str) -> Array:
         """One column (N,) by name."""
         return self.data[:, self.columns.index(column)]
+
+    def decimals(self, column: str) -> list[Decimal]:
+        """Numbers (N,) of a column exactly as they are written."""
+        lines = (line for _, line in self._lines(read_text(self.path)))
+        return [Decimal(word) for word in self._words(lines, self.columns.index(column))]
+
+    def nanoseconds(self, column: str, per_second: int = 1) -> Nanoseconds | None:
+        """Times (N,) of a column as they are written; None where float64 has nanoseconds of them.
+
+        per_second: how many of the file's units are a second.
+        """
+        if resolved_by_floats(self[column] / per_second):
+            return None
+        return nanoseconds(self.decimals(column), per_second)
 
     def __len__(self) -> int:
         """Number of records."""
@@ -86,6 +108,10 @@ class Table:
     def locating(self) -> AbstractContextManager[None]:
         """Turn a RecordError about a row of this table into one that names file and line."""
         return locate_rows(self.path, self.line)
+
+    def _words(self, lines: Iterable[str], place: int) -> Iterator[str]:
+        """One word of each record; what follows # is a comment."""
+        return (line.partition("#")[0].split(self._delimiter)[place].strip() for line in lines)
 
     def _lines(self, text: str) -> list[tuple[int, str]]:
         """Line numbers and contents of the records."""
@@ -119,8 +145,9 @@ def is_record(line: str) -> bool:
 
 def first_record(path: Path) -> str:
     """The first record of a text file without blanks around it, or nothing. Raises InputError."""
-    with reading(path), path.open(encoding="utf-8-sig") as file:
-        return next((line.strip() for line in file if is_record(line)), "")
+    with reading(path), unpacked(path) as file:
+        lines = io.TextIOWrapper(file, encoding="utf-8-sig")
+        return next((line.strip() for line in lines if is_record(line)), "")
 
 
 @contextmanager
@@ -157,16 +184,42 @@ def first_words(path: Path) -> list[str]:
     """Return the words of a text file's first record; none of what has none, or is no file."""
     if not path.is_file():
         return []
-    with path.open("rb") as file:
-        lines = file.read(65536).splitlines()
+    try:
+        with reading(path), unpacked(path) as file:
+            lines = file.read(65536).splitlines()
+    except InputError:
+        return []
     kept = (line for line in lines if line.strip() and not line.startswith(b"#"))
     return next(kept, b"").decode("ascii", "replace").split()
 
 
 def read_text(path: Path) -> str:
-    """A file's text. Raises InputError when it is missing, unreadable or not text."""
-    with reading(path):
-        return path.read_text(encoding="utf-8-sig")
+    """A file's text, unpacked where its suffix says so.
+
+    Raises InputError when it is missing, unreadable or not text.
+    """
+    with reading(path), unpacked(path) as file:
+        if path.suffix.lower() not in PACKED:
+            return file.read().decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise InputError(f"{path}: holds more than {_MOST_BYTES >> 20} MiB, expected fewer")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def unpacked(path: Path) -> IO[bytes]:
+    """Open a file, one that is packed as its suffix says, for its contents."""
+    if path.suffix.lower() not in PACKED:
+        return path.open("rb")
+    from importlib import import_module
+
+    opened: IO[bytes] = import_module(PACKED[path.suffix.lower()]).open(path, "rb")
+    return opened
+
+
+def stem(path: Path) -> str:
+    """Return a file's name without its suffix, and without that of its packing."""
+    return (path.with_suffix("") if path.suffix.lower() in PACKED else path).stem
 
 
 @contextmanager
@@ -179,7 +232,13 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: no such file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8, expected one") from None
+    except (EOFError, zlib.error):
+        raise InputError(f"{path}: {_DAMAGED}") from None
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise InputError(unusable_file(error, path)) from None
+        if error.errno is None and path.suffix.lower() in PACKED:
+            raise InputError(f"{path}: {_DAMAGED}") from None
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 
@@ -194,18 +253,28 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """A TOML text as nested mappings. Raises ValueError, also for what would take tomllib hours.
 
-    Its time and memory grow with the square of a key's parts.
+    Its time and memory grow with the square of a key's parts. A whole number beyond 64 bits is
+    refused: hexadecimal digits may make one that Python cannot spell.
     """
     for piece in _BETWEEN.split(_QUOTED.sub('""', text)):
         if piece.count(".") > _MOST_PARTS:
             raise ValueError(f"a key of more than {_MOST_PARTS} parts")
     try:
-        return tomllib.loads(text)
+        found = tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deep") from None
+    if _LONG_INTEGER.search(text):
+        _check_integers(found)
+    return found
 
 
-def shorten(word: str, limit: int = 40) -> str:
-    """A word as it may stand in a one-line error."""
-    shown = printable(word)
-    return shown if len(shown) <= limit else shown[: limit - 3] + "..."
+def _check_integers(value: Any, key: str = "") -> None:
+    """Raise ValueError for a whole number that TOML does not promise to hold. key: of the value."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            _check_integers(part, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for part in value:
+            _check_integers(part, key)
+    elif isinstance(value, int) and abs(value) >= 2**64:
+        raise ValueError(f"{shorten(key)} is a whole number of more than 64 bits")

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 
 ABSENT = None
 """A setting that takes its section away."""
@@ -80,12 +80,12 @@ class Flag(Option):
         """Put a value that was given into nested mappings. Raises InputError."""
         if self.settings is not None and value not in self.settings:
             known = " or ".join(map(str, self.settings))
-            raise InputError(f"{self.option} is {value!r}, expected {known}")
+            raise InputError(f"{self.option} is {quoted(value)}, expected {known}")
         section, _, key = self.field.rpartition(".")
         if self.within and below(config, section) is None:
             if value == self.neutral:
                 return
-            given = self.option if value is True else f"{self.option} {value}"
+            given = self.option if value is True else f"{self.option} {shorten(value)}"
             raise InputError(f"{given} goes with {self.within}")
         into = config
         for part in section.split(".") if section else ():

@@ -32,7 +32,7 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--preset', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='preset', words=('recommended', 'guivant-2002', 'misono-2007', 'nieto-2005')),
     Flag(option='--format', panel='Log, settings and report', help='Format of the log, named as in `slamcheck logs`. [recognised]', metavar='NAME', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.format'),
     Flag(option='--robot', panel='Log, settings and report', help='Robot number in an MR.CLAM folder. [1]', metavar='N', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.robot', kind=int),
-    Flag(option='--topic', panel='Log, settings and report', help='Topic of a ROS bag to read; repeat it for several. [per message type, the topic with most messages]', metavar='NAME', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.topics', many=True),
+    Flag(option='--topic', panel='Log, settings and report', help='Topic of a ROS bag to read; repeat it for several. [per message type, the only one]', metavar='NAME', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.topics', many=True),
     Flag(option='--start', panel='Log, settings and report', help='Skip the first S seconds of the log. [0]', metavar='S', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.start_s', kind=float),
     Flag(option='--end', panel='Log, settings and report', help="Stop S seconds after the log's start. [its end]", metavar='S', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.end_s', kind=float),
     Flag(option='--seed', panel='Log, settings and report', help='Random seed of a simulated log. [0]', metavar='N', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.seed', kind=int),

@@ -1,17 +1,27 @@
-"""From a configuration to the log that it names."""
+"""From a configuration to the log and the estimate that it names."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from comparisons.config import JobConfig, LogSection, check_unchanged, full_path, recorded_path
+from comparisons.config import (
+    CheckConfig,
+    JobConfig,
+    LogSection,
+    check_unchanged,
+    full_path,
+    recorded_path,
+)
 from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.pipeline.clock import Clock
 from graphslam.scan.libraries import require
+
+if TYPE_CHECKING:
+    from comparisons.estimates.external import ExternalEstimate
 
 C = TypeVar("C", bound=JobConfig)
 
@@ -39,6 +49,23 @@ def load_log(section: LogSection) -> Log:
     return log
 
 
+def read_estimate(config: CheckConfig) -> ExternalEstimate:
+    """Return the estimate that a configuration names. Raises InputError."""
+    from comparisons.estimates.external import read_external
+
+    return read_external(Path(config.estimate), config.times, config.trace, _topics(config)[1])
+
+
+def _topics(config: JobConfig) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Topics of the log, and of the estimate, where both may be bags."""
+    topics = tuple(config.log.topics or ())
+    if not topics or not isinstance(config, CheckConfig):
+        return topics, ()
+    from comparisons.estimates.bag_estimate import split_topics
+
+    return split_topics(Path(config.estimate), recorded_path(config.log.source), topics)
+
+
 def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, Clock]:
     """Return the log, the configuration with its hash and full path, and the time that took.
 
@@ -48,7 +75,7 @@ def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, Clock]:
     require(config.libraries())
     section, clock = config.log, Clock()
     with clock.stage("read"):
-        log = load_log(section)
+        log = load_log(section.model_copy(update={"topics": _topics(config)[0]}))
         found = log_hash(log)
     if not allow_changed:
         option = "--allow-changed-log, as for a hash of slamcheck 0.2 or older,"

@@ -69,7 +69,7 @@ class Records(Brief):
         digits = f"to {found:.1g} (relative) only" if np.isfinite(found) else "not at all"
         return (
             "variances or coordinates of the log lie so many powers of ten apart that double "
-            f"precision tells the algebra and the models {digits}"
+            f"precision resolves the algebra and model gaps {digits}"
         )
 
     @cached_property

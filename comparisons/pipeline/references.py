@@ -36,20 +36,18 @@ from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf
 
 EKF = "the reference EKF"
-_ONE_BY_ONE = "an EKF that updates by one landmark after the other"
+ONE_BY_ONE = "an EKF with sequential (one landmark at a time) updates"
 _VARIANTS: dict[str, type[Ekf]] = {
     "an iterated EKF": IteratedEkf,
-    _ONE_BY_ONE: SequentialEkf,
-    f"{_ONE_BY_ONE}, the last first": BackwardEkf,
-    f"{_ONE_BY_ONE}, by label": ByLabelEkf,
-    f"{_ONE_BY_ONE}, by label, the largest first": ByLabelBackwardEkf,
-    f"{_ONE_BY_ONE}, the nearest first": NearestFirstEkf,
-    f"{_ONE_BY_ONE}, the farthest first": FarthestFirstEkf,
+    ONE_BY_ONE: SequentialEkf,
+    f"{ONE_BY_ONE}, last first": BackwardEkf,
+    f"{ONE_BY_ONE}, by label": ByLabelEkf,
+    f"{ONE_BY_ONE}, by label, largest first": ByLabelBackwardEkf,
+    f"{ONE_BY_ONE}, nearest first": NearestFirstEkf,
+    f"{ONE_BY_ONE}, farthest first": FarthestFirstEkf,
     "an EKF that initialises new landmarks before it updates": NewFirstEkf,
-    "an EKF that initialises new landmarks, then updates by one landmark after the "
-    "other": NewFirstSequentialEkf,
-    "an EKF that places new landmarks with a vast covariance, then updates by one after the "
-    "other": UnknownFirstSequentialEkf,
+    f"{ONE_BY_ONE}, new landmarks initialised first": NewFirstSequentialEkf,
+    f"{ONE_BY_ONE}, new landmarks initialised with a vast covariance": UnknownFirstSequentialEkf,
     "a first-estimates EKF": FirstEstimatesEkf,
     "a right-invariant EKF": InvariantEkf,
     "a robocentric EKF": RobocentricEkf,
@@ -58,7 +56,7 @@ _VARIANTS: dict[str, type[Ekf]] = {
 }
 FILTERS = (EKF, *_VARIANTS)
 ORDERS = {EKF: ""} | {
-    name: name.replace("an EKF that", "it")
+    name: name.replace("an EKF with", "it has")
     for name, kind in _VARIANTS.items()
     if kind in (SequentialEkf, BackwardEkf)
 }

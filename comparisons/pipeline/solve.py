@@ -165,10 +165,10 @@ class Solution(Shown):
         if one is None:
             return []
         return [
-            f"this is the optimum of the graph, and places may stand twice in its map: poses "
-            f"{one.first:,} and {one.second:,} lie {one.apart_m:.2g} m apart, which no loop "
-            f"closure there ties; the edges tell it to {one.sigma_m:.2g} m and "
-            f"{np.degrees(one.sigma_rad):.2g} degrees (1 sigma)"
+            f"this is the optimum of the graph, but places may be in its map twice: poses "
+            f"{one.first:,} and {one.second:,} lie {one.apart_m:.2g} m apart without a loop "
+            f"closure between them; by the edges, sigma of their relative pose is "
+            f"{one.sigma_m:.2g} m and {np.degrees(one.sigma_rad):.2g} degrees"
         ]
 
     @property

@@ -19,7 +19,7 @@ from comparisons.checks.agreement import (
     Together,
     largest_distance,
 )
-from comparisons.checks.causes import FILTER_FAULTS
+from comparisons.checks.causes import FILTER_FAULTS, SYMPTOMS
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
@@ -82,7 +82,7 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import Summary
-from comparisons.words import Row
+from comparisons.words import Row, cause_name
 from ekf_reference.core.landmark_types import POINT
 
 EXTERNAL = "external estimate"
@@ -232,7 +232,9 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
             ratios = band(*(shown(value, ".4g") for value in ends))
             rows.append(Row("Estimate", "variances, estimate over nearest reference", ratios))
     if (left := result.departure) is not None:
-        rows.append(Row("Estimate", DEPARTURE, f"{left.time_s:.9g} s: {left.what}, {left.event}"))
+        rows.append(
+            Row("Estimate", DEPARTURE, f"from {left.what}, at {left.time_s:.9g} s, {left.event}")
+        )
     return rows
 
 
@@ -267,7 +269,7 @@ def _verdict_words(result: CheckResult) -> str:
     grade = {
         "equal": f"The estimate equals {nearest} to rounding.",
         "like": f"The estimate is like {nearest}: means and covariances differ by at most 5 %.",
-        "plausible": "The estimate is as close to the smoother's optimum as that is certain.",
+        "plausible": "The estimate is within the optimum's own uncertainty.",
         "wrong": "The estimate is wrong: its trace shows a fault."
         if any(one.gap in FILTER_FAULTS for one in result.causes)
         else "The estimate is wrong: it is like no reference and far from the optimum.",
@@ -490,11 +492,18 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         if len(agree) < 2:
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
         required = f" (required: {result.required})"
+        departure = [] if result.departure is None else [str(result.departure)]
+        explained = [cause_name(gap) for gap in self.found.consequences]
+        symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
         return Summary(
             headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
             look=result.look,
             causes=result.causes,
-            remarks=result.remarks,
+            explained=[DEPARTURE, *explained] if departure and explained else explained,
+            reasons=departure if symptom else [],
+            remarks=[
+                one for one in result.remarks if not ((symptom or explained) and one in departure)
+            ],
             steps=check_ladder(result),
             lines=[
                 ("agreement", "; ".join(agree)),

@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from comparisons.atomic import check_apart, check_replaceable, folder_name, free_beside
-from comparisons.config import Configured, JobConfig, shown
-from comparisons.errors import InputError
+from comparisons.config import Configured, JobConfig
+from comparisons.errors import InputError, quoted
 from comparisons.logs.table import read_toml
 from comparisons.options.table import FLAGS
 from comparisons.report.folder import CONFIG
@@ -59,20 +59,18 @@ def check_free(folder: Path, config: JobConfig | None = None, *, replace: bool =
     if replace or not (folder / CONFIG).exists():
         return
     if other := _other_run(folder, config):
-        raise InputError(
-            f"{folder}: holds another run ({other}); give --replace, or --out {free_beside(folder)}"
-        )
+        raise InputError(f"{folder}: holds {other}; give --replace, or --out {free_beside(folder)}")
 
 
 def _other_run(folder: Path, config: JobConfig) -> str:
-    """What a folder's run differs in, in words; nothing where it is the same."""
+    """What a folder holds, if it is not of the same job, settings and log; else nothing."""
     try:
         found = read_toml(folder / CONFIG)
         if (job := found.get("job")) != config.job:
-            return f"of slamcheck {shown(job)}"
+            return f"a result of slamcheck {quoted(job)}"
         then = dict(leaves(type(config).of(**found).model_dump()))
     except InputError:
-        return "its config.toml is not of this version"
+        return "a run of another version of slamcheck"
     now = dict(leaves(config.model_dump()))
     paths = [p for p in {**then, **now} if p.split(".")[0] not in _BESIDE]
     differ = [
@@ -81,11 +79,14 @@ def _other_run(folder: Path, config: JobConfig) -> str:
     if then.get("log.sha256") == now.get("log.sha256"):  # wherever it was read from
         differ = [path for path in differ if not path.startswith("log.")]
     elif not any(path.startswith("log.") for path in differ):
-        differ.insert(0, "the log's contents")
-    reported = [_unlike(p, then.get(p), now.get(p)) if "." in p else p for p in differ]
-    return "; ".join(reported[:3]) + (
-        f"; and {len(reported) - 3} more" if len(reported) > 3 else ""
-    )
+        if not differ:
+            return "a run of an earlier version of this log"
+        differ.insert(0, "log.sha256")
+    if not differ:
+        return ""
+    reported = [_unlike(path, then.get(path), now.get(path)) for path in differ]
+    more = f"; and {len(reported) - 3} more" if len(reported) > 3 else ""
+    return f"a run with other settings ({'; '.join(reported[:3])}{more})"
 
 
 def _changed(config: JobConfig, base: Mapping[str, Any]) -> set[str]:
@@ -145,7 +146,7 @@ def _unlike(path: str, then: Any, now: Any) -> str:
     before, after = (_short(one) for one in (then, now))
     if before == after:
         before, after = str(then), str(now)
-    return f"{path} {before}, not {after}"
+    return f"{path} {before} there, {after} here"
 
 
 def _short(value: Any) -> str:

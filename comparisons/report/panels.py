@@ -208,8 +208,8 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
             else ""
         )
         reported.append(
-            "Against the smoother: 3 sigma of P_estimate - P_smoother, the covariance of what a "
-            f"filter differs by from what knows the future{overconfident}."
+            "Against the smoother: 3 sigma of P_estimate - P_smoother, the covariance of the "
+            f"difference of a filter from a smoother, which knows later data{overconfident}."
         )
     paths = [(r.name, colour, r.time_s, r.pose) for r, colour in filters_compared(check)]
     if paths:

@@ -15,6 +15,7 @@ from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.position_gate import PositionsFinding
 from comparisons.jobs.run import Comparison
+from comparisons.logs.bundled import NAMED
 from comparisons.pipeline.clock import Clock
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
@@ -118,6 +119,7 @@ class RunReport(Report[Comparison, Result]):
             remarks=result.remarks,
             steps=ladder(result),
             lines=[
+                *_known_example(result),
                 (
                     "agreement",
                     f"{agree} of {len(landmarks)} landmarks "
@@ -148,6 +150,7 @@ class RunReport(Report[Comparison, Result]):
             headline=result.headline,
             words=_WORDS[result.verdict],
             facts=[
+                *facts_of(_known_example(result)),
                 *_facts(result, [*a, *scan]),
                 *facts_of(c.known.lines, leave="consistency" if inconsistent else ""),
             ],
@@ -229,6 +232,14 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
         *comparison.known.rows,
     ]
+
+
+def _known_example(result: Result) -> list[tuple[str, str]]:
+    """A line for a bundled log on which an EKF is known to be inconsistent, if this one is."""
+    log = NAMED.get(str(result.config["log"]["source"]))
+    if log is None or not log.inconsistent or not result.causes:
+        return []
+    return [("log", log.inconsistent)] if result.causes[0].gap == "linearisation" else []
 
 
 def _facts(result: Result, landmarks: Sequence[BlockAgreement]) -> list[tuple[str, str]]:

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, printable, shorten
 from comparisons.figures import kept_fields, numbers
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
@@ -101,7 +101,9 @@ def side_by_side(results: Sequence[Found], only: Sequence[str] = ()) -> list[Row
         if not any(fnmatchcase(name, pattern) for name in figures):
             heads = (f"{name.partition('.')[0]}{'.*' if '.' in name else ''}" for name in figures)
             known = ", ".join(dict.fromkeys(heads))
-            raise InputError(f"--only {given}: no figure is called so, expected some of {known}")
+            raise InputError(
+                f"--only {shorten(given)}: no figure is called so, expected some of {known}"
+            )
     for name in figures:
         values = [found.metrics.get(name) for found in results]
         chosen = any(fnmatchcase(name, pattern) for pattern in wanted)

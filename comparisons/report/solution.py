@@ -27,7 +27,7 @@ from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.optimum import ChiSquareTest
 
-FRAME = "no line fixes the frame but the absolute positions, which therefore are used"
+FRAME = "only the absolute positions fix the frame of the graph, so they are used"
 LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 

@@ -14,7 +14,7 @@ from comparisons.checks.agreement import BlockAgreement, LandmarkAgreement
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.config import JobConfig
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import stored
 from comparisons.innovations import SensorInnovations
@@ -40,7 +40,7 @@ Tables = Mapping[str, Callable[[], Columns]]
 def data_frame(tables: Tables, table: str) -> DataFrame:
     """Return one of several tables as a data frame. Raises InputError."""
     if table not in tables:
-        raise InputError(f"table {table!r} is unknown, expected one of {', '.join(tables)}")
+        raise InputError(f"table {quoted(table)} is unknown, expected one of {', '.join(tables)}")
     try:
         from pandas import DataFrame
     except ImportError:

@@ -1,4 +1,4 @@
-"""What a job prints: the outcome and why, in full, and every figure where it is asked for."""
+"""What a job prints: outcome, first cause and what decides it, or all of it where that is asked."""
 
 from __future__ import annotations
 
@@ -11,15 +11,18 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import Console
 from rich.text import Text
 
+from comparisons.checks.causes import decides
 from comparisons.errors import printable
-from comparisons.words import Row, cause_name
+from comparisons.words import Row, cause_name, facts
 
 if TYPE_CHECKING:
     from comparisons.report.ladder import Step
     from comparisons.words import Cause
 
 WIDTH, MOST = 80, 5
-"""Columns of what is printed, and how many causes, reasons and notes; the report has all."""
+"""Columns of what is printed, and how many notes, unless all is asked for."""
+DECIDING = 6
+"""Lines of what decides an outcome, below the line in which its cause begins."""
 MARKS = {True: "in", False: "OUT", None: ""}
 """Whether a figure lies in its band, in words."""
 STYLES = {
@@ -30,6 +33,8 @@ STYLES = {
 }
 _LABEL = 13
 """Columns before the text of a line."""
+_RESERVED = 3
+"""Lines that a cause leaves to the first reason beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,13 +42,15 @@ class Summary:
     """What a job has to print.
 
     headline: the outcome in words, printed first. look: the outcome whose style it is printed in.
-    reasons: why the outcome is what it is, where that is no cause, as an optimum that is not
-    verified. lines: label and text. rows: all figures.
+    explained: names of what follows from the first cause, as was computed. reasons: why the
+    outcome is what it is, where that is no cause, as an optimum that is not verified. lines: label
+    and text. rows: all figures.
     """
 
     headline: str
     look: str = ""
     causes: Sequence[Cause] = ()
+    explained: Sequence[str] = ()
     reasons: Sequence[str] = ()
     remarks: Sequence[str] = ()
     steps: Sequence[Step] = ()
@@ -61,29 +68,21 @@ class Line(NamedTuple):
 def print_summary(
     summary: Summary, console: Console, report: str = "", *, verbose: bool = False
 ) -> None:
-    """Print the outcome and why. report: where it is. verbose: then print all figures."""
-    lines = brief(summary, report)
+    """Print the outcome and why. report: where it is. verbose: all of it, then all figures."""
+    lines = brief(summary, report, whole=verbose)
     if verbose:
         lines += [Line(""), *table(summary.rows, max(WIDTH, console.width))]
     for line in lines:
         console.print(Text(line.text, style=line.style))
 
 
-def brief(summary: Summary, report: str = "") -> list[Line]:
-    """Return the outcome, its causes with their hints, reasons, notes, gaps and few figures.
+def brief(summary: Summary, report: str = "", *, whole: bool = False) -> list[Line]:
+    """Return the outcome, its first cause, or notes where there is none, gaps and few figures.
 
-    In lines of WIDTH columns; only a long path makes the last one longer.
+    In lines of WIDTH columns; only a long path makes the last one longer. whole: with all causes,
+    hints and notes, uncut.
     """
-    style = STYLES.get(summary.look, "bold")
-    lines = [Line(text, style) for text in fit(summary.headline, after="  ")]
-    for cause in summary.causes[:MOST]:
-        lines += _indented(f"{cause_name(cause.gap)}: {cause.evidence}")
-        hint = fit(cause.hint, first="    hint: ", after="      ")
-        lines += [Line(one, "dim") for one in hint if cause.hint]
-    notes = [f"note: {remark}" for remark in summary.remarks]
-    for text in (*summary.reasons[:MOST], *notes[:MOST]):
-        lines += _indented(text)
-    lines += _rest(cause=summary.causes, reason=summary.reasons, note=notes)
+    lines = _outcome(summary, whole=whole)
     lines += _ladder(summary.steps)
     for label, text in summary.lines:
         first, after = f"{label + ':':<{_LABEL}}", " " * _LABEL
@@ -91,6 +90,58 @@ def brief(summary: Summary, report: str = "") -> list[Line]:
     if report:
         lines.append(Line(f"{'report:':<{_LABEL}}{printable(report)}"))
     return lines
+
+
+def deciding(
+    causes: Sequence[Cause],
+    reasons: Sequence[str] = (),
+    *,
+    explained: Sequence[str] = (),
+    also: Sequence[str] = (),
+    listed: str = "-v lists them",
+) -> list[Line]:
+    """Return what decides an outcome, in few lines, and by name what else there is.
+
+    Args:
+        causes: the first one is printed, with its hint, and those that only explain another.
+        reasons: those that have room are printed.
+        explained: names of what follows from the first cause.
+        also: names of what does not, or may not.
+        listed: where all of it stands, in words.
+    """
+    lines, room, cut = list[Line](), 1 + DECIDING, False
+    if causes:
+        reserved = min(len(_indented(reasons[0])), _RESERVED) if reasons else 0
+        lines, cut = _cut(_words(causes[0]), room - reserved)
+    printed = 0
+    for reason in reasons:
+        block, short = _cut(reason, room - len(lines))
+        if lines and short:
+            break
+        lines, cut, printed = lines + block, cut or short, printed + 1
+    room -= len(lines)
+    others = list[str]()
+    for i, cause in enumerate(causes):
+        block = _indented(_words(cause)) if i else []
+        if len(block) > room or (i and decides(cause.gap) != "never"):
+            others.append(cause_name(cause.gap))
+            continue
+        lines, room = [*lines, *block, *_hint(cause)], room - len(block)
+    left = len(reasons) - printed
+    names = [
+        *(["the rest of the evidence"] if cut else []),
+        *dict.fromkeys(others),
+        *([_count(left, "more finding")] if left else []),
+        *also,
+    ]
+    more = [f"explained by it: {', '.join(explained)}"] if explained else []
+    more += [f"also: {', '.join(names)}"] if names else []
+    return lines + (_indented(f"{'; '.join(more)}; {listed}") if more else [])
+
+
+def in_short(cause: Cause, lines: int = 3) -> str:
+    """Return a cause in one line, with the facts that would fit into so many of a terminal."""
+    return " ".join(line.text.strip() for line in _cut(_words(cause), lines)[0])
 
 
 def table(rows: Sequence[Row], width: int = WIDTH) -> Iterator[Line]:
@@ -138,11 +189,55 @@ def _indented(text: str) -> list[Line]:
     return [Line(one) for one in fit(text, first="  ", after="    ")]
 
 
-def _rest(**texts: Sequence[object]) -> list[Line]:
-    """Return a line that counts what is left out, by kind."""
-    more = {kind: len(found) - MOST for kind, found in texts.items() if len(found) > MOST}
-    counts = [f"{count} more {kind}{'s' if count > 1 else ''}" for kind, count in more.items()]
-    return _indented(f"{', '.join(counts)} in the report") if counts else []
+def _outcome(summary: Summary, *, whole: bool) -> list[Line]:
+    """Return the headline and why. whole: with everything that is known of it."""
+    style = STYLES.get(summary.look, "bold")
+    lines = [Line(text, style) for text in fit(summary.headline, after="  ")]
+    notes = [f"note: {remark}" for remark in summary.remarks]
+    if whole:
+        for cause in summary.causes:
+            lines += [*_indented(_words(cause)), *_hint(cause)]
+        return lines + [line for text in (*summary.reasons, *notes) for line in _indented(text)]
+    if not summary.causes and not summary.reasons:
+        lines += [line for text in notes[:MOST] for line in _indented(text)]
+        more = len(notes) - MOST
+        return lines + (
+            _indented(f"{_count(more, 'more note')}; -v lists them") if more > 0 else []
+        )
+    headline = textwrap.shorten(printable(summary.headline), WIDTH, placeholder=" ...")
+    outside = sum(row.inside is False for row in summary.rows)
+    also = [_count(len(notes), "note")] if notes else []
+    also += [_count(outside, "figure") + " outside the band"] if outside else []
+    why = deciding(summary.causes, summary.reasons, explained=summary.explained, also=also)
+    return [Line(headline, style), *why]
+
+
+def _words(cause: Cause) -> str:
+    return f"{cause_name(cause.gap)}: {cause.evidence}"
+
+
+def _hint(cause: Cause) -> list[Line]:
+    hint = fit(cause.hint, first="    hint: ", after="      ")
+    return [Line(line, "bold") for line in hint if cause.hint]
+
+
+def _cut(text: str, room: int) -> tuple[list[Line], bool]:
+    """Return a text in at most so many lines, whole facts if one fits; and whether it is cut."""
+    lines = _indented(text)
+    if len(lines) <= room:
+        return lines, False
+    every = facts(text)
+    for count in range(len(every) - 1, 0, -1):
+        lines = _indented(f"{'; '.join(every[:count])}; ...")
+        if len(lines) <= room:
+            return lines, True
+    *before, last = lines[: max(room, 1)]
+    whole = last.text if len(last.text) <= WIDTH - 4 else last.text[: WIDTH - 4].rpartition(" ")[0]
+    return [*before, Line(f"{whole} ...")], True
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def _ladder(steps: Sequence[Step]) -> list[Line]:

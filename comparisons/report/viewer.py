@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from comparisons.adapters.scan_source import ScanSource
 from comparisons.arrays import Array
 from comparisons.atomic import Kind, begins, check_file, write_whole
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log, Poses
@@ -57,7 +57,7 @@ def show_run(comparison: Comparison) -> None:
         _send(comparison, stream)
     except (RuntimeError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"rerun's viewer cannot be opened ({reason})") from None
+        raise InputError(f"rerun's viewer cannot be opened ({shorten(reason, 200)})") from None
 
 
 def record_run(comparison: Comparison, path: Path) -> None:
@@ -69,7 +69,7 @@ def record_run(comparison: Comparison, path: Path) -> None:
             stream.save(part)
         except RuntimeError as error:  # rerun's word for what the system refuses
             reason = str(error).splitlines()[0]
-            raise InputError(f"{path}: cannot be written ({reason})") from None
+            raise InputError(f"{path}: cannot be written ({shorten(reason, 200)})") from None
         _send(comparison, stream)
 
     write_whole(path, write, _RECORDING)

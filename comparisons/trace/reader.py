@@ -18,10 +18,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
-from comparisons.errors import InputError, check_regular, printable
+from comparisons.errors import InputError, check_regular, quoted, shorten
 from comparisons.trace.batch import unpack
 from comparisons.trace.events import Event, Sensor
-from comparisons.trace.rows import EventReader, batch_rows, distinct, is_block, shown
+from comparisons.trace.rows import EventReader, batch_rows, distinct, is_block
 
 APPLICATION = 0x534C4154
 VERSION = 2
@@ -91,8 +91,9 @@ class Trace:
 
     sensors: those that were described. remarks: what a reader should know of the file. unsound: by
     event, of those read so far, what is wrong with its noise, or the prior's P, where that is no
-    covariance. Raises InputError, with the event's number, where the file is no trace, is damaged,
-    or an event cannot be what it says. It may be recorded meanwhile.
+    covariance. singular: likewise, which R has no inverse. Raises InputError, with the event's
+    number, where the file is no trace, is damaged, or an event cannot be what it says. It may be
+    recorded meanwhile.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,6 +102,7 @@ class Trace:
         self.sensors: dict[str, Sensor] = {}
         self.remarks: tuple[str, ...] = ()
         self.unsound: dict[int, str] = {}
+        self.singular: dict[int, str] = {}
         if _is_raw(path):
             self._version = 0
             raw = _RawFile(path)
@@ -121,7 +123,7 @@ class Trace:
     def __iter__(self) -> Iterator[Event]:
         """Yield every event."""
         reader = EventReader(self.path)
-        self.unsound = reader.unsound
+        self.unsound, self.singular = reader.unsound, reader.singular
         yield from self._first_format(reader) if self._version == 1 else self._batches(reader)
         if reader.at < 0:
             raise InputError(f"{self.path}: holds no events, expected a filter's trace")
@@ -137,7 +139,7 @@ class Trace:
                 ) from None
             if one.first != reader.at + 1:
                 raise InputError(
-                    f"{self.path}, event {shown(one.first)}: stands after event {reader.at}, "
+                    f"{self.path}, event {quoted(one.first)}: stands after event {reader.at}, "
                     f"expected {reader.at + 1}"
                 )
             yield from reader.events(batch_rows(batch, one.first))
@@ -161,7 +163,7 @@ class Trace:
                     return
                 after, events, state, data = row
                 if not isinstance(data, bytes):
-                    raise InputError(f"{self.path}, event {shown(after)}: the batch is no blob")
+                    raise InputError(f"{self.path}, event {quoted(after)}: the batch is no blob")
                 yield Stored(after, events, state, data)
 
     def _first_format(self, reader: EventReader) -> Iterator[Event]:
@@ -251,7 +253,7 @@ class Trace:
         found = list(file.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
         for name, sql in [*tables.items(), *found]:
             if (name, sql) not in found or tables.get(name) != sql:
-                raise InputError(f"{self.path}: table {shown(name)} is not as a recorder's")
+                raise InputError(f"{self.path}: table {quoted(name)} is not as a recorder's")
         return int(version)
 
     def _sensor(self, name: Any, gate: Any, components: Any) -> Sensor:
@@ -259,8 +261,8 @@ class Trace:
         sound = gate is None or (isinstance(gate, float) and 0.0 < gate < 1.0)
         if not isinstance(name, str) or not sound or names is None:
             raise InputError(
-                f"{self.path}, sensor {shown(name)}: gate {shown(gate)} or components "
-                f"{shown(components)} are not as expected: a probability and a list of names"
+                f"{self.path}, sensor {quoted(name)}: gate {quoted(gate)} or components "
+                f"{quoted(components)} are not as expected: a probability and a list of names"
             )
         return Sensor(gate, names)
 
@@ -311,7 +313,7 @@ class _RawFile:
         if not isinstance(found, list) or not all(
             isinstance(one, list) and len(one) == 3 for one in found
         ):
-            raise InputError(f"{self.path}: describes its sensors by {shown(found)}")
+            raise InputError(f"{self.path}: describes its sensors by {quoted(found)}")
         return [(one[0], one[1], None if one[2] is None else json.dumps(one[2])) for one in found]
 
     def _head(self, file: BinaryIO) -> tuple[int, ...]:
@@ -346,7 +348,7 @@ def last_state(path: Path) -> tuple[int, list[list[Any]]]:
         is_block(one) and isinstance(one[0], str) for one in state
     )
     if type(number) is not int or not sound:
-        raise InputError(f"{path}: its last batch says {shown(said)} of its blocks")
+        raise InputError(f"{path}: its last batch says {quoted(said)} of its blocks")
     return number, state
 
 
@@ -370,7 +372,7 @@ def _json(text: Any) -> Any:
 
 def _unreadable(where: object, error: Exception) -> InputError:
     return InputError(
-        f"{where}: SQLite cannot read it ({printable(str(error)):.100}); record it again, or "
+        f"{where}: SQLite cannot read it ({shorten(str(error), 100)}); record it again, or "
         "recover it with the sqlite3 shell's .recover"
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.trace.batch import COLUMNS, KINDS, MOST_COLUMNS, ROW, pack
 from comparisons.trace.events import ADDITIVE, CHARTS
 from comparisons.trace.reader import APPLICATION, TABLES, VERSION, last_state
@@ -223,7 +223,7 @@ class Recorder:
         begun = self._own("point", point)
         named = {name: self._chart((charts or {}).get(name, ADDITIVE)) for name in dims}
         if strange := set(charts or ()) - set(dims):
-            self._refuse(f"charts name {min(strange)!r}, which is no block")
+            self._refuse(f"charts name {quoted(min(strange))}, which is no block")
         note = self._text(json.dumps([list(dims.values()), list(named.values())]))
         self._dims, self._charts = dims, named
         self._sizes.clear()
@@ -335,7 +335,7 @@ class Recorder:
                 found[name] = self._own(name, value)
         columns = COLUMNS[KINDS[kind]][3:]
         if strange := set(found) - set(columns):
-            raise TypeError(f"got an unexpected keyword argument {min(strange)!r}")
+            raise TypeError(f"got an unexpected keyword argument {quoted(min(strange))}")
         return tuple(map(found.get, columns))
 
     def augment(
@@ -466,7 +466,7 @@ class Recorder:
         if not all(names) or len(set(names[1])) < len(names[1]):
             self._refuse("directions or sensors are missing, or one is given twice")
         columns = [
-            np.frombuffer(self._vector(f"basis of {name!r}", one, n), _DTYPE)
+            np.frombuffer(self._vector(f"basis of {quoted(name)}", one, n), _DTYPE)
             for name, one in basis.items()
         ]
         note = self._text(json.dumps({"names": names[0], "blind": names[1]}))
@@ -509,7 +509,9 @@ class Recorder:
         for name in names:
             if name not in self._dims:
                 known = ", ".join(self._dims) or "none: record the prior first"
-                self._refuse(f"block {name!r} is not in the state; it has {known}")
+                self._refuse(
+                    f"block {quoted(name)} is not in the state; it has {shorten(known, 200)}"
+                )
         if not names or len(set(names)) < len(names):
             self._refuse("expected blocks, none of them twice; record the prior first")
         size = sum(self._dims[name] for name in names)
@@ -518,7 +520,7 @@ class Recorder:
 
     def _check_new(self, name: str, dim: int) -> None:
         if _name(name) in self._dims:
-            self._refuse(f"block {name!r} is in the state already; remove it first")
+            self._refuse(f"block {quoted(name)} is in the state already; remove it first")
         if dim + sum(self._dims.values()) > MOST_ENTRIES:
             self._refuse(f"makes the state larger than {MOST_ENTRIES} entries")
 
@@ -528,12 +530,12 @@ class Recorder:
 
     def _chart(self, chart: str) -> str:
         if chart not in CHARTS:
-            self._refuse(f"chart {chart!r}, expected one of {', '.join(CHARTS)}")
+            self._refuse(f"chart {quoted(chart)}, expected one of {', '.join(CHARTS)}")
         return chart
 
     def _dim(self, dim: Any) -> int:
         if int(dim) != dim or not 0 < dim <= MOST_ENTRIES:
-            self._refuse(f"dimension {dim!r}, expected 1 to {MOST_ENTRIES}")
+            self._refuse(f"dimension {quoted(dim)}, expected 1 to {MOST_ENTRIES}")
         return int(dim)
 
     def _blob(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> bytes:
@@ -603,9 +605,13 @@ class Recorder:
         for name in {**gates, **components}:
             gate, parts = gates.get(name), components.get(name)
             if gate is not None and not 0.0 < gate < 1.0:
-                raise InputError(f"{self._path}: gate of {name!r} is {gate}, expected 0 < p < 1")
+                raise InputError(
+                    f"{self._path}: gate of {quoted(name)} is {quoted(gate)}, expected 0 < p < 1"
+                )
             if parts is not None and (isinstance(parts, str) or len(set(parts)) < len(parts)):
-                raise InputError(f"{self._path}: components of {name!r} are not distinct names")
+                raise InputError(
+                    f"{self._path}: components of {quoted(name)} are not distinct names"
+                )
             text = None if parts is None else json.dumps([_name(part) for part in parts])
             rows.append((_name(name), None if gate is None else float(gate), text))
         return rows
@@ -652,5 +658,5 @@ def _name(name: str) -> str:
     try:
         name.encode()
     except (AttributeError, UnicodeEncodeError):
-        raise InputError(f"name {name!r:.60}: expected a text of whole characters") from None
+        raise InputError(f"name {quoted(name)}: expected a text of whole characters") from None
     return name

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array, Mask
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, quoted
 from comparisons.trace.batch import COLUMNS, KINDS, Batch
 from comparisons.trace.events import (
     ADDITIVE,
@@ -43,6 +43,7 @@ _ROUNDING = 1e-12
 """Entries of a noise below it, beside the variances of the errors that it is added to."""
 _SINGLE = 64.0 * 2.0**-24
 """The same, of a covariance whose numbers are all of single precision."""
+_IS_SINGULAR = "is singular"
 
 
 class Cell:
@@ -95,13 +96,15 @@ class EventReader:
     """Makes events of rows, and follows which blocks there are.
 
     at: number of the last event, -1 before the first. unsound: by the number of an event what is
-    wrong with its noise, or the prior's P, where that is no covariance.
+    wrong with its noise, or the prior's P, where that is no covariance. singular: likewise, of an R
+    that is a covariance without an inverse, as of a perfect measurement.
     """
 
     def __init__(self, path: Path) -> None:
         """path: named in errors."""
         self.at = -1
         self.unsound: dict[int, str] = {}
+        self.singular: dict[int, str] = {}
         self._path = path
         self._dims: dict[str, int] = {}
         self._charts: dict[str, str] = {}
@@ -125,7 +128,8 @@ class EventReader:
         Raises:
             InputError: A row cannot be an event; of several the first, with its number.
 
-        A noise that is no covariance is in `unsound`, for every event that has it.
+        A noise that is no covariance is in `unsound`, one of a measurement that is singular in
+        `singular`, for every event that has it.
         """
         found: list[Event] = []
         with np.errstate(all="ignore"):  # a number that is too large is refused by itself
@@ -135,7 +139,8 @@ class EventReader:
             own = event.covariance if isinstance(event, Prior) else getattr(event, "noise", None)
             fault = self._faults.get((id(own), isinstance(event, Update)))
             if fault is not None:
-                self.unsound[event.number] = fault[1]
+                kind = self.singular if fault[1].endswith(_IS_SINGULAR) else self.unsound
+                kind[event.number] = fault[1]
         return found
 
     def _event(self, row: Row) -> Event:
@@ -144,9 +149,9 @@ class EventReader:
             self._refuse(number, f"stands after event {self.at}, expected {self.at + 1}")
         make = self._make.get(kind)
         if make is None:
-            self._refuse(number, f"kind {shown(kind)}, expected one of {', '.join(self._make)}")
+            self._refuse(number, f"kind {quoted(kind)}, expected one of {', '.join(self._make)}")
         if time_s is not None and not (isinstance(time_s, float) and math.isfinite(time_s)):
-            self._refuse(number, f"time_s {shown(time_s)}, expected a number of seconds")
+            self._refuse(number, f"time_s {quoted(time_s)}, expected a number of seconds")
         if not self._dims and kind != "prior":
             self._refuse(number, f"is a {kind}, expected the prior first")
         event = make(row)
@@ -178,9 +183,9 @@ class EventReader:
     def _update(self, row: Row) -> Update:
         n = self._on(row)
         if not isinstance(row.text, str):
-            self._refuse(row.number, f"sensor {shown(row.text)}, expected a name")
+            self._refuse(row.number, f"sensor {quoted(row.text)}, expected a name")
         if row.used not in (0, 1):
-            self._refuse(row.number, f"used is {shown(row.used)}, expected 0 or 1")
+            self._refuse(row.number, f"used is {quoted(row.used)}, expected 0 or 1")
         residual = self._flat(row, 0)
         m = len(residual)
         if not m:
@@ -264,7 +269,7 @@ class EventReader:
         if found is None:
             for name in blocks:
                 if name not in self._dims:
-                    fault = f"block {shown(name)} is not in the state at that time"
+                    fault = f"block {quoted(name)} is not in the state at that time"
                     self._refuse(row.number, fault)
             if len(self._named) == _MOST_NAMED:
                 self._named.clear()
@@ -274,7 +279,7 @@ class EventReader:
     def _new(self, row: Row) -> tuple[str, int, str]:
         """Name, dimension and chart of a block that begins."""
         if not is_block(row.text):
-            fault = f"text {shown(row.text)}, expected a name, a dimension and a chart"
+            fault = f"text {quoted(row.text)}, expected a name, a dimension and a chart"
             self._refuse(row.number, fault)
         name, dim, chart = row.text
         return self._unused(row.number, name), dim, chart
@@ -283,7 +288,7 @@ class EventReader:
         if not isinstance(name, str):
             self._refuse(number, "the new block's name is not a text")
         if name in self._dims:
-            self._refuse(number, f"new block {shown(name)} is in the state already")
+            self._refuse(number, f"new block {quoted(name)} is in the state already")
         return name
 
     def _changed(self, number: int) -> None:
@@ -373,7 +378,7 @@ class EventReader:
         return np.concatenate([np.zeros(0), *(self._sigma[name] for name in blocks[index])])
 
     def _refuse(self, number: Any, fault: str) -> NoReturn:
-        raise InputError(f"{self._path}, event {shown(number)}: {fault}")
+        raise InputError(f"{self._path}, event {quoted(number)}: {fault}")
 
 
 def _faults(
@@ -382,7 +387,8 @@ def _faults(
     """Yield index and fault of the matrices of (k, n, n) that are no covariances.
 
     sigmas: (n,) of the errors that each is added to, by its index; none where it is to none.
-    definite: positive definite, else also semidefinite to _NEGATIVE.
+    definite: positive definite, where semidefinite ones are singular; else also semidefinite to
+    _NEGATIVE.
     """
     few = max(1, _IN_CACHE // stack[0].size)
     for start in range(0, len(stack), few):
@@ -393,7 +399,9 @@ def _faults(
             if definite or not _sound_beside(one, sigmas(start + bad)):
                 if _single_sound(one, definite=definite):
                     continue
-                fault = "is not positive definite" if definite else "has a negative eigenvalue"
+                fault = "has a negative eigenvalue"
+                if definite and not skew[bad] and _sound(one, definite=False)[0]:
+                    fault = _IS_SINGULAR
                 yield start + bad, "is not symmetric" if skew[bad] else fault
 
 
@@ -481,9 +489,3 @@ def _counts(found: Any) -> bool:
 
 def _all_charts(found: Any) -> bool:
     return isinstance(found, list) and all(isinstance(one, str) and one in CHARTS for one in found)
-
-
-def shown(value: Any) -> str:
-    """A value of a file, short and on one line."""
-    short = value[:40] if isinstance(value, str | bytes | list) else value
-    return printable(repr(short)[:60])

@@ -131,6 +131,17 @@ class MeasurementRecords:
     weight: Array
     origin: Index
 
+    @property
+    def entries(self) -> Array:
+        """(M, r) one for each entry of a measurement that was used, zero for one that was not.
+
+        A filter that fuses range and bearing one after the other has a row for either: the other
+        entry's residual and Jacobians are zero there.
+        """
+        used = self.jacobian_pose.any(axis=2) | self.jacobian_other.any(axis=2)
+        entries: Array = (used | (self.innovation != 0.0)).astype(np.float64)
+        return entries
+
     def rows(self, rows: Index) -> Self:
         """Return some rows.
 

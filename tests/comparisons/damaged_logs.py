@@ -25,6 +25,12 @@ def stated(name: str, change: Callable[[Array], Any]) -> Change:
     )
 
 
+def late(log: Log, delay_s: float) -> Log:
+    """Measurements later than they were; those that would come after the end are missing."""
+    inside = log.measurements.time_s + delay_s <= log.odometry.time_s[-1]
+    return delayed(replace(log, measurements=log.measurements.chosen(inside)), delay_s)
+
+
 def in_milliseconds(log: Log) -> Log:
     """Speeds per millisecond, and turns where they are rates, too."""
     rate = 1e3 if isinstance(log.odometry, VelocityOdometry) else 1.0
@@ -45,7 +51,7 @@ EVERY: dict[str, tuple[Change, str]] = {
     ),
     "ranges in cm": (lambda g: sensed(g, (100.0, 0.0)), "ranges are cm"),
     "turns in degrees": (lambda g: driven(g, turn=(1.0 / _DEGREE, 0.0)), "is in degrees"),
-    "a clock of 0.5 s": (lambda g: delayed(g, 0.5), "s later than the log says"),
+    "a clock of 0.5 s": (lambda g: late(g, 0.5), "s later than the log says"),
     "a scale of 1.1": (lambda g: driven(g, (1.1, 0.0)), "times the log's"),
     "range's variance": (stated("sigma_range_m", np.square), "the sigma of ranges"),
     "bearing's variance": (stated("sigma_bearing_rad", np.square), "the sigma of bearings"),

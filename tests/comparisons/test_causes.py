@@ -13,7 +13,7 @@ from comparisons.checks.diagnosis.linearisation_growth import (
     LinearisationGrowth,
     linearisation_growth,
 )
-from comparisons.checks.explaining import dropout, noise
+from comparisons.checks.explaining import dropout, other_noise
 from comparisons.checks.linearisation import _grew, linearisation_cause
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import degrees
@@ -184,7 +184,7 @@ def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
     assert not found.stretches
     assert found.coverage == 1.0
     assert dropout(found) == []
-    assert noise(c.smoother.optimality.chi_square, c.consistency) == []
+    assert other_noise(c.known, c.smoother.optimality.chi_square) == []
 
 
 def test_the_variance_that_is_off_most_is_named() -> None:
@@ -224,13 +224,28 @@ def test_an_understated_sigma_is_named() -> None:
     log = simulated(seed=3, loop_s=30.0)
     stated = replace(log.measurements, sigma_range_m=log.measurements.sigma_range_m / 3.0)
     c = compared(replace(log, measurements=stated))
-    (named,) = noise(c.smoother.optimality.chi_square, c.consistency)
+    (named,) = other_noise(c.known, c.smoother.optimality.chi_square)
     assert named.gap == "noise"
     assert named.gap not in GAPS
-    assert "measurements' range" in named.hint
-    factor = float(named.hint.split("about ")[1].split()[0])
+    assert named.hint == "check the sigma of the range"
+    factor = float(named.evidence.split("noise of the range ")[1].split()[0])
     assert abs(factor - 3.0) < 0.6
-    assert "bearing" not in named.hint
+    assert "bearing" not in named.evidence
+
+
+def test_no_sigma_is_blamed_for_what_it_does_not_explain() -> None:
+    """One landmark's range is off by 2 m half way on, and no noise is that."""
+    log = simulated(seed=3, loop_s=30.0)
+    seen = log.measurements
+    rows = np.flatnonzero(seen.landmark == np.bincount(seen.landmark).argmax())
+    range_m = seen.range_m.copy()
+    range_m[rows[len(rows) // 2 :]] += 2.0
+    c = compared(replace(log, measurements=replace(seen, range_m=range_m)))
+    assert "noise" not in [one.gap for one in c.verdict.causes]
+    (cause,) = [one for one in c.verdict.causes if one.gap == "misfit"]
+    assert cause.evidence.startswith("no single change makes the log fit: chi-square ")
+    assert "the residuals depart " in cause.evidence
+    assert "sigma" not in cause.hint
 
 
 def test_odometry_that_ends_early_is_remarked() -> None:

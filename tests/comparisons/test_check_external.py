@@ -93,7 +93,7 @@ def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: Externa
     found = check(log, bare(whole))
     assert found.outcome == "agree"
     assert "the estimate has no landmarks, no pose covariances" in found.remarks[0]
-    assert "compared: the last pose" in found.remarks[0]
+    assert "; compared poses" in found.remarks[0]
     assert found.consistency.unjudged == "the estimate has no pose covariances"
 
 
@@ -251,7 +251,7 @@ INCOMPLETE: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
         "covers 64.6 of 85.0 s: it has no poses from 29.8 to 50.2 s",
     ),
     "starts late": (lambda t: t > 20.0, "covers 65.0 of 85.0 s: it begins at 20.2 s"),
-    "holes": (lambda t: t % 20.0 > 5.0, "it begins at 5.2 s, it ends at 79.8 s, it has 3 holes"),
+    "holes": (lambda t: t % 20.0 > 5.0, "it begins at 5.2 s, it ends at 79.8 s, it has 3 gaps"),
 }
 
 
@@ -473,7 +473,7 @@ WRONG: dict[str, tuple[Defect, str, str, str]] = {
     ),
     "no headings": (headed(lambda h: 0.0 * h), "heading", "all headings are 0 degrees", COLUMN),
     "headings not halved": (headed(lambda h: 2.0 * h), "heading", "is not halved", COLUMN),
-    "exchanged": (EXPORTS["two landmarks exchanged"], "association", "at the position of", ""),
+    "exchanged": (EXPORTS["two landmarks exchanged"], "association", "coincide with others", ""),
     "too sure": (EXPORTS["all covariances a third"], "covariance", "is 0.33 times", ""),
     "called smoothed": (
         lambda given: replace(given, information="smoothed"),

@@ -337,12 +337,12 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     left, result = present(found.departure), CheckReport.build(found)
     assert left.time_s == filtered().time_s[since]
     assert left.place == tuple(found.given.pose[since, :2])
-    said = f"first departure: the poses leave the reference EKF at {left.time_s:.9g} s"
+    said = f"first difference from the reference EKF at {left.time_s:.9g} s"
     summary = CheckReport(found, result).summary()
-    assert summary.remarks[0].startswith(said)
-    assert "first departure" in [row.quantity for row in summary.rows]
+    assert [*summary.reasons, *summary.remarks][0].startswith(said)
+    assert "first difference" in [row.quantity for row in summary.rows]
     text = html(found)
-    layer = re.search(r'data-name="first departure".*?</g>', text)
+    layer = re.search(r'data-name="first difference".*?</g>', text)
     assert said in present(layer)[0]
     panels, start_s = external_panels(found)[1], data_of(text)["start"]
     assert {moment.x for panel in panels for moment in panel.moments} == {left.time_s}
@@ -350,7 +350,7 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     assert len(marks) == len(panels)
     assert all(start_s + one[0]["x"] == pytest.approx(left.time_s) for one in marks)
     axis = map_figure(found).axes[0]
-    drawn = [line for line in axis.lines if line.get_label() == "first departure"]
+    drawn = [line for line in axis.lines if line.get_label() == "first difference"]
     assert drawn[0].get_xydata() == pytest.approx(np.array([left.place]))
     CheckReport(found, result).write(tmp_path / "out")
     written = json.loads((tmp_path / "out" / "check.json").read_text())
@@ -359,7 +359,7 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
 
 def test_what_is_equal_departs_nowhere() -> None:
     assert sound().departure is None
-    assert "first departure" not in html(sound())
+    assert "first difference" not in html(sound())
     assert not any(panel.moments for panel in external_panels(sound())[1])
 
 

@@ -129,8 +129,8 @@ def test_filter_against_smoother_over_all_seeds() -> None:
 @pytest.mark.parametrize(
     ("scale", "reading", "words"),
     [
-        (0.5, "too low", "is too low: a sigma is too large"),
-        (2.0, "too high", "is too high: a sigma is too small"),
+        (0.5, "too low", "is too low: smaller innovations than"),
+        (2.0, "too high", "is too high: larger innovations than"),
     ],
 )
 def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(

@@ -25,6 +25,7 @@ from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
+from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
 from comparisons.faults.catalogue import NAMED, catalogue
 from comparisons.faults.fault import Fault
@@ -152,7 +153,7 @@ def test_the_trace_says_what_the_run_says_of_its_heading(
     check = checked(tmp_path, victoria_park.log, EkfConfig())
     assert check.trace is not None
     said = [
-        [part for part in cause.evidence.split("; ") if "has learnt its global heading" in part]
+        [part for part in cause.evidence.split("; ") if "claims its absolute heading" in part]
         for cause in (*victoria_park.verdict.causes, *check.trace.verdict.causes)
     ]
     assert len(said) == 2
@@ -217,12 +218,12 @@ def test_estimates_of_earlier_versions_are_read(tmp_path: Path) -> None:
     """Each is today's run, and a check says that it is old."""
     log = read_log_folder(KEPT / "log")
     given = read_external(KEPT / "estimate")
-    ids = present(given.landmark_id)
+    names = LandmarkNames({}, present(given.landmark_id).tolist())
     remarks = check(log, given).remarks
     assert any(one.startswith("trace.npz is of slamcheck 0.2, and the next") for one in remarks)
     write_run(filtered(log, EkfConfig()), tmp_path / TRACE)
-    now = read_trace(tmp_path / TRACE, ids)
-    former = read_trace(KEPT / "estimate" / FORMER, ids)
+    now = read_trace(tmp_path / TRACE).placed(names)
+    former = read_trace(KEPT / "estimate" / FORMER).placed(names)
     np.testing.assert_array_equal(former.step_time_s, now.step_time_s)
     for name in ("prior_pose", "prior_covariance", "departed", "arrived", "f", "q"):
         one, other = getattr(former.trace, name), getattr(now.trace, name)
@@ -347,7 +348,7 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "backwards": (put("step_time_s", 7, 0.0), "step_time_s must increase"),
     "order": (put("update_step", 0, 2000), "update_step must ascend"),
     "beyond": (put("update_step", -1, 1e6), "update_step must ascend"),
-    "stranger": (put("update_landmark", 0, 999), "update_landmark holds 999, which is not"),
+    "stranger": (put("update_landmark", 0, 999), "block '999' must end in the number or label"),
     "initialised twice": (lambda a: a["initialise_landmark"].__setitem__(
                               0, a["initialise_landmark"][1]),
                           "is initialised 0 times|is initialised 2 times"),
@@ -468,6 +469,18 @@ P, EYE, HALF = np.eye(3), np.eye(2), np.eye(2, 3)
 AT: dict[str, Any] = {"point": np.zeros(3), "numbers": 0}
 
 
+def copied_landmark(record: Recorder) -> None:
+    """Two landmarks, an update of both, and a copy of one."""
+    pair(record, np.eye(4, 7, 3), np.eye(4))
+    record.clone("landmark 1", "copy")
+
+
+def removed_pose(record: Recorder) -> None:
+    """Two landmarks, an update of both, and no pose after that."""
+    pair(record, np.eye(4, 7, 3), np.eye(4))
+    record.remove("pose")
+
+
 def pair(record: Recorder, h: Array, r: Array) -> None:
     """Two landmarks, and an update of both."""
     for name in ("landmark 1", "landmark 2"):
@@ -487,16 +500,24 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
     "no after": (lambda r: predict(r, point=P[0]), "event 1: has no after"),
     "no numbers": (lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0]), "has no numbers"),
     "numbers": (
-        lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0], numbers=[1, 2]),
-        "event 1: numbers has 2 numbers, expected 1",
+        lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0], numbers=[1, 2, 3]),
+        "event 1: numbers has 3 numbers, expected 1",
     ),
     "odd": (lambda r: r.update("x", P[0], P, P, **AT), "event 1: has a residual that is not of"),
-    "clone": (lambda r: r.clone("pose", "copy"), "event 1: is a clone, which a planar filter has"),
-    "name": (
-        lambda r: r.augment("tree", HALF, EYE, EYE, after=EYE[0], **AT),
-        "event 1: begins a block that is no point whose name ends in its id",
+    "clone": (
+        copied_landmark,
+        "event 4: copies 'landmark 1'; expected a copy of the pose",
     ),
-    "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: numbers has 2 numbers"),
+    "pose removed": (removed_pose, "event 4: removes the pose"),
+    "three entries": (
+        lambda r: pair(r, np.eye(3, 7, 3), np.eye(3)),
+        "event 3: has a residual that is not of two entries for each measurement; expected so, or",
+    ),
+    "wide": (
+        lambda r: r.augment("tree 1", P, P, P, after=P[0], **AT),
+        "event 1: block 'tree 1' has 3 entries, expected a point",
+    ),
+    "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: has a measurement that"),
     "correlated": (
         lambda r: pair(r, np.eye(4, 7, 3), np.eye(4) + 0.1),
         "event 3: has noise that is correlated between measurements",
@@ -511,7 +532,7 @@ def test_events_of_another_filter_are_one_line(tmp_path: Path, name: str) -> Non
         record.prior({"pose": 3}, P, point=np.zeros(3))
         call(record)
     with pytest.raises(InputError, match=said):
-        read_trace(tmp_path / TRACE, np.array([1, 2]))
+        read_trace(tmp_path / TRACE).placed(LandmarkNames({}, [1, 2]))
 
 
 def test_a_trace_stands_anywhere(tmp_path: Path, plain: Plain) -> None:

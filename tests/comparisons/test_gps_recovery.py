@@ -139,7 +139,7 @@ def test_lock_out_and_bad_positions_are_told_apart() -> None:
     locked, bad = found_at_truth(slipped()), found_at_truth(scattered())
     assert locked.unfit_count == 0
     assert locked.in_streaks == locked.longest == len(locked.number) > 25
-    assert "fit the smoother's optimum" in locked.remarks[0]
+    assert "at the smoother's optimum" in locked.remarks[0]
     assert bad.unfit_count == len(bad.number) == bad.longest == 20
 
 

@@ -88,17 +88,18 @@ def evidence(found: ExternalCheck) -> str:
     [
         (Ekf, "the reference EKF"),
         (IteratedEkf, "an iterated EKF"),
-        (SequentialEkf, "an EKF that updates by one landmark after the other"),
-        (BackwardEkf, "an EKF that updates by one landmark after the other, the last first"),
+        (SequentialEkf, "an EKF with sequential (one landmark at a time) updates"),
+        (BackwardEkf, "an EKF with sequential (one landmark at a time) updates, last first"),
         (NewFirstEkf, "an EKF that initialises new landmarks before it updates"),
         (
             NewFirstSequentialEkf,
-            "an EKF that initialises new landmarks, then updates by one landmark after the other",
+            "an EKF with sequential (one landmark at a time) updates, "
+            "new landmarks initialised first",
         ),
         (
             UnknownFirstSequentialEkf,
-            "an EKF that places new landmarks with a vast covariance, then updates by one after "
-            "the other",
+            "an EKF with sequential (one landmark at a time) updates, "
+            "new landmarks initialised with a vast covariance",
         ),
         (FirstEstimatesEkf, "a first-estimates EKF"),
         (InvariantEkf, "a right-invariant EKF"),
@@ -181,7 +182,7 @@ NAMED = {
     "one pose off by 0.5 m": "1 of 76 poses",
     "path cut at 60 %": "of 15.0 s: it ends at",
     "path starts at 40 %": "of 15.0 s: it begins at",
-    "two landmarks exchanged": "2 landmarks lie at the position of another landmark",
+    "two landmarks exchanged": "2 landmarks coincide with others: ",
     "a third of the map missing": "landmarks of the log are missing in the map",
 }
 """Faults of exports, and what the report has to say of them."""
@@ -201,8 +202,8 @@ def test_a_fault_is_not_like_a_filter_and_is_named(
     ("which", "said"),
     [
         (0, "those from before the measurement update"),
-        (1, "those of the next prediction: an array that was recorded is written on"),
-        (2, "those of the next pose: an array that was recorded is written on"),
+        (1, "those of the next prediction: the recorded array was overwritten"),
+        (2, "those of the next pose: the recorded array was overwritten"),
     ],
 )
 def test_covariances_of_another_moment_are_named(

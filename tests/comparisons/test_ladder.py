@@ -138,7 +138,7 @@ def test_an_infinite_gap_lies_on_the_scale_and_an_unknown_one_does_not() -> None
 
 
 def test_a_long_name_stays_in_its_box() -> None:
-    name = "EKF that updates by one landmark after the other"
+    name = "EKF with sequential (one landmark at a time) updates"
     step = Step(gap="reference", above=EXTERNAL, below=name, sigma=1.0)
-    assert re.search(rf'textLength="\d+"[^>]*>{name}<', ladder_picture([step]))
+    assert re.search(rf'textLength="\d+"[^>]*>{re.escape(name)}<', ladder_picture([step]))
     assert "textLength" not in ladder_picture([replace(step, below="reference EKF")])

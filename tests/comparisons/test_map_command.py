@@ -47,7 +47,7 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert all(name in page for name in ("EKF - truth", "NIS of measurements", "spurious"))
     other = ("map", "occupancy-loop", "--out", "map")
     said = refused(*other, cwd=tmp_path)
-    assert "map: holds another run (extensions.dense_maps.layers" in said
+    assert "map: holds a run with other settings (extensions.dense_maps.layers" in said
     works(*other, "--replace", cwd=tmp_path)
     assert not (folder / "points.png").exists()
 

@@ -174,7 +174,7 @@ def test_a_fault_that_nobody_knows_is_given_no_name(folder: Path, tmp_path: Path
     found = judged(instead(residual=shortened)(Newcomer), folder, tmp_path / "mine")
     assert found.outcome == "disagree"
     assert all(one.gap != "fault" for one in found.causes)
-    assert found.remarks[0].startswith("first departure: the poses leave")
+    assert found.remarks[0].startswith("first difference from")
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
     )
     assert found.headline == "agree, association unchecked"
     assert found.failed_on == ("association",)
-    assert "the stated sigmas are too small" in found.remarks[0]
+    assert "times what its covariance states" in found.remarks[0]
 
 
 def test_what_is_beyond_its_own_limit_most_is_remarked() -> None:
@@ -139,8 +139,8 @@ def test_labels_of_true_landmarks_that_are_exchanged_are_named(
     log = replace(sound.log, truth=Truth(landmarks=moved))
     said = exchanged_labels(sound.smoothed, log, labelled=True)
     first, second = sorted(table.id[seen[:2]].tolist())
-    expected = f": {first} at {second}, {second} at {first}"
-    assert said.startswith("2 landmarks lie at the true place of another label") is exchanged
+    expected = f": {first} lies on {second}, {second} lies on {first}"
+    assert said.startswith("2 landmarks coincide with the truth of other labels") is exchanged
     assert said.endswith(expected) is exchanged
     assert exchanged_labels(sound.smoothed, log, labelled=False) == ""
     if exchanged:
@@ -184,7 +184,7 @@ def test_a_run_names_the_rows_of_its_prior(sound: Comparison) -> None:
     moved = Prior(prior.time_s, prior.pose + (0.8, 0.3, 0.001), STATED)
     found = compared(first_seconds(replace(sound.log, prior=moved), 5.0))
     (cause,) = [one for one in found.verdict.causes if one.gap == "truth"]
-    assert "the prior is off by 0.8 m, 0.3 m and 0.001 rad, and says 0.003, 0.5, 1: " in (
+    assert "the prior is off by 0.8 m, 0.3 m and 0.001 rad, with sigmas of 0.003, 0.5, 1: " in (
         cause.evidence
     )
     assert "rows of its covariance are exchanged" in cause.evidence

@@ -153,13 +153,15 @@ def test_a_folder_of_another_run_is_refused(comparison: Comparison, tmp_path: Pa
     same = run_config(seed=1, figures=["pdf"]).at_log("0" * 64, "elsewhere")
     check_free(folder, same)
     others = {
-        "log.seed 1, not 2": run_config(seed=2).at_log("1" * 64),
-        "the log's contents": run_config(seed=1).at_log("1" * 64),
-        "ekf.filter full, not compressed": run_config(seed=1, filter="compressed").at_log("0" * 64),
+        "with other settings .log.seed 1 there, 2 here": run_config(seed=2).at_log("1" * 64),
+        "run of an earlier version of this log": run_config(seed=1).at_log("1" * 64),
+        ".ekf.filter full there, compressed here": run_config(seed=1, filter="compressed").at_log(
+            "0" * 64
+        ),
         "of slamcheck 'run'": configure(CheckConfig, settings=["log.seed=1"]).at_log("0" * 64),
     }
     for words, other in others.items():
-        with pytest.raises(InputError, match=f"holds another run .{words}.*--replace") as caught:
+        with pytest.raises(InputError, match=f"holds a .*{words}.*--replace") as caught:
             check_free(folder, other)
         assert "\n" not in str(caught.value)
         check_free(folder, other, replace=True)
@@ -169,7 +171,7 @@ def test_a_folder_of_another_run_is_refused(comparison: Comparison, tmp_path: Pa
         check_free(folder, same, replace=True)
     (folder / LIST).unlink()
     _write_list(folder)
-    with pytest.raises(InputError, match="is not of this version"):
+    with pytest.raises(InputError, match="holds a run of another version of slamcheck"):
         check_free(folder, same)
     (folder / "mine.txt").write_text("keep")
     with pytest.raises(InputError, match=r"already holds mine\.txt"):

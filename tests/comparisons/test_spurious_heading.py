@@ -71,14 +71,14 @@ def test_the_cause_says_it_where_it_matters() -> None:
         return linearisation_cause(c.agreement, run, None, found).evidence
 
     assert evidence(0.2).endswith(
-        "the filter has learnt its global heading to 0.8 degrees from measurements that cannot "
-        "tell it, most from 10.0 to 20.0 s and, by a single update, with landmark 7 at 15.0 s"
+        "the filter claims its absolute heading to 0.8 degrees, which no measurement observes "
+        "(gained fastest from 10.0 to 20.0 s; the largest single gain is with landmark 7 at 15.0 s)"
     )
-    assert "learnt" not in evidence(0.07)
+    assert "claims" not in evidence(0.07)
     nothing = found._replace(
         directions=(replace(found.of(HEADING), information=0.0, largest=None),)
     )
-    assert "learnt" not in evidence(0.2, nothing)
+    assert "claims" not in evidence(0.2, nothing)
 
 
 def half_of_the_updates(events: Iterable[Event]) -> Iterator[Event]:
@@ -167,12 +167,12 @@ def test_the_curve_starts_where_something_was_learnt() -> None:
 def test_the_page_has_its_figures() -> None:
     c = sound()
     result = RunReport.build(c)
-    rows = [row for row in run_rows(c, result) if row.group.startswith("Heading learnt")]
-    named = ["standard deviation", "grew fastest", "most by one update"]
+    rows = [row for row in run_rows(c, result) if row.group.startswith("Absolute heading")]
+    named = ["standard deviation", "gained fastest", "largest gain by one update"]
     assert [row.quantity for row in rows] == named
     assert rows[0].value == f"{present(result.spurious_heading).sigma_deg:.3g} deg"
     nothing = present(result.spurious_heading).model_copy(update={"sigma_deg": 1e12})
-    assert [row.value for row in spurious_rows(nothing)] == ["nothing learnt"]
+    assert [row.value for row in spurious_rows(nothing)] == ["none claimed"]
 
 
 def test_nothing_learnt_is_not_drawn() -> None:

@@ -13,20 +13,26 @@ import numpy as np
 import pytest
 
 import slamcheck
+from benchmarks.stranger_faults import HINTS
 from benchmarks.strangers import Ekf, read_log
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event, write_run
+from comparisons.config import CheckConfig
 from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE
-from comparisons.jobs.check import ExternalCheck
+from comparisons.fingerprints.clock import works_with_floats, written_from_floats
+from comparisons.jobs.check import ExternalCheck, _Job
 from comparisons.logs import stamps
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
+from comparisons.logs.transforms.clock import timed_by_floats
+from comparisons.pipeline.solve import prepare_solve
 from comparisons.trace.reader import Trace
-from tests.comparisons.newcomers import Course, simulate
+from tests.comparisons.newcomers import Course, Euler, simulate
 from tests.helpers import compared, present, simulated
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_filter" / "my_ekf.py"
@@ -153,12 +159,18 @@ def column(path: Path) -> list[Decimal]:
     return [Decimal(row.split(",")[0]) for row in path.read_text().splitlines()[1:]]
 
 
-def since_1970(
-    folder: Path, out: Path, *, whole: bool, traced: bool = False, bare: bool = False
-) -> ExternalCheck:
-    """The check of a filter that reads stamps as whole nanoseconds, or as floats.
+def write_since_1970(
+    folder: Path,
+    out: Path,
+    *,
+    whole: bool,
+    traced: bool = False,
+    bare: bool = False,
+    kind: type[Ekf] = Ekf,
+) -> None:
+    """Write the estimate of a filter that reads stamps as whole nanoseconds, or as floats.
 
-    bare: it begins with a covariance of its own, and has no stabilisation noise.
+    bare: it begins with a covariance of its own, and has no stabilisation noise. kind: the filter.
     traced: with a trace, whose times count from the first second where the stamps are whole.
     """
     log, start = read_log(folder), Decimal(0)
@@ -177,12 +189,19 @@ def since_1970(
         log.meta["odometry"]["noise"] |= {
             "variance_rate_position": 0.0, "variance_rate_heading": 0.0
         }  # fmt: skip
-    Ekf(log).run().write(out, traced=traced)
+    kind(log).run().write(out, traced=traced)
     path = out / "trajectory.tum"
     rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
     path.write_text("".join(f"{start + Decimal(time)} {rest}\n" for time, rest in rows))
+
+
+def since_1970(
+    folder: Path, out: Path, *, kind: type[Ekf] = Ekf, traced: bool = False, **more: bool
+) -> ExternalCheck:
+    """The check of a filter, as of `write_since_1970`."""
+    write_since_1970(folder, out, kind=kind, traced=traced, **more)
     found = slamcheck.check(slamcheck.load_log(folder), out, require="like")
-    if traced:
+    if traced and kind is Ekf:
         assert present(found.trace).agreement.model.within(1e-6)
     return found
 
@@ -233,6 +252,61 @@ def test_stamps_since_1970_are_taken_as_the_filter_had_them(
     else:
         monkeypatch.setattr("comparisons.jobs.check.timed_by_floats", lambda log: log)
     assert since_1970(log, tmp_path / "other", whole=whole).grade.value == "like"
+
+
+RANGES = {fault.name: fault for fault in HINTS}["range scale"].plant(Ekf)
+"""A filter whose ranges are 1.03 times the log's: it leaves the reference at an update."""
+
+
+@pytest.mark.parametrize("traced", [True, False])
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_wrong_filter_leaves_where_its_fault_is(
+    whole: bool, traced: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at its first step, by intervals that it did not use; and the smoother runs once.
+
+    By the other stamps it would leave there.
+    """
+    log, solved = tmp_path / "log", list[str]()
+    course = Course("since-1970", duration_s=3.0, apart=True, start_ns=1_700_000_000_123_456_789)
+    simulate(course, 1, log)
+    started = _Job.started
+
+    def counted(job: _Job, given: ExternalEstimate) -> ExternalCheck:
+        solved.append(job.log.name)
+        return started(job, given)
+
+    monkeypatch.setattr(_Job, "moved_back", lambda job, first: None)
+    monkeypatch.setattr(_Job, "started", counted)
+    found = since_1970(log, tmp_path / "mine", whole=whole, traced=traced, kind=RANGES)
+    assert len(solved) == 1
+    assert present(found.departure).measurements
+    assert not any("interval" in one.hint for one in found.causes)
+    monkeypatch.setattr("comparisons.jobs.check.works_with_floats", lambda *parts: whole)
+    found = since_1970(log, tmp_path / "other", whole=whole, traced=traced, kind=RANGES)
+    assert not present(found.departure).measurements
+
+
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("kind", [Ekf, Euler, RANGES])
+def test_the_first_poses_tell_which_stamps_a_filter_worked_with(
+    whole: bool, kind: type[Ekf], tmp_path: Path
+) -> None:
+    """By steps, or without any, as where poses are those after each scan alone."""
+    log_path = tmp_path / "log"
+    course = Course("since-1970", duration_s=3.0, apart=True, start_ns=1_700_000_000_123_456_789)
+    simulate(course, 1, log_path)
+    write_since_1970(log_path, tmp_path / "mine", whole=whole, kind=kind)
+    log = slamcheck.load_log(log_path)
+    prepared = [prepare_solve(one, CheckConfig()) for one in (log, timed_by_floats(log))]
+    given = slamcheck.read_estimate(tmp_path / "mine")
+    assert written_from_floats(given) is not whole
+    assert works_with_floats(given, prepared[0], prepared[1]) is not whole
+    scans_s = np.unique(log.measurements.time_s) + float(log.provenance["time_origin_s"])
+    near = np.abs(given.time_s[:, None] - scans_s).min(axis=1) < 1e-6
+    after_scans = with_poses(given, near)
+    expected = None if kind is Euler else not whole  # it leaves the reference at its first step
+    assert works_with_floats(after_scans, prepared[0], prepared[1]) is expected
 
 
 def driven(log: Log) -> Array:

@@ -20,7 +20,17 @@ from comparisons.report.ladder import Step
 from comparisons.report.rows import gap_rows
 from comparisons.report.run import RunReport
 from comparisons.report.solution import SolutionReport
-from comparisons.report.terminal import MOST, WIDTH, Line, Summary, brief, fit, print_summary, table
+from comparisons.report.terminal import (
+    DECIDING,
+    MOST,
+    WIDTH,
+    Line,
+    Summary,
+    brief,
+    fit,
+    print_summary,
+    table,
+)
 from comparisons.words import Cause, Row
 from tests.commands import Done, slamcheck
 from tests.helpers import compared, first_seconds, simulated
@@ -63,7 +73,7 @@ def test_any_summary_keeps_its_width(summary: Summary) -> None:
     lines = brief(summary, "a/" * 100)
     assert faults(lines) == []
     if summary.causes:
-        assert lines[2].text.startswith("  linearisation gap: a cause")
+        assert lines[1].text.startswith("  linearisation gap: a cause")
 
 
 def test_a_wider_one_is_noticed() -> None:
@@ -72,16 +82,69 @@ def test_a_wider_one_is_noticed() -> None:
     assert faults(lines[::-1])[-1] == "first is report:      out"
 
 
-def test_causes_hints_and_notes_are_whole() -> None:
-    """Up to five of each; what is beyond is counted."""
-    lines = [line.text.strip() for line in brief(few(MOST, MOST), "out")]
-    said = " ".join(lines)
-    assert said.count(f"linearisation gap: {LONG.strip()} hint: look there") == MOST
-    assert said.count(f"note: {LONG.strip()}") == MOST
-    assert not any("in the report" in line for line in lines)
-    assert "2 more causes, 4 more notes in the report" in [
-        line.text.strip() for line in brief(FULL)
-    ]
+def joined(lines: list[Line]) -> str:
+    return " ".join(line.text.strip() for line in lines)
+
+
+def deciding_lines(lines: list[Line]) -> int:
+    """How many lines stand between the one in which the cause begins and the hint, or the end."""
+    texts = [line.text for line in lines[1:]]
+    return (
+        next(
+            (i for i, one in enumerate(texts) if one.strip().startswith(("hint: ", "also: "))),
+            len(texts),
+        )
+        - 1
+    )
+
+
+FACTS = "; ".join(f"fact {k} of many words that say what was measured" for k in range(12))
+
+
+@pytest.mark.parametrize("evidence", ["short", FACTS, LONG, f"{FACTS} ({FACTS})", "x" * 900])
+@pytest.mark.parametrize("reasons", [(), ("a departure at 3 s",), (LONG,), (FACTS,) * 4])
+def test_the_cause_stands_in_line_two_and_six_lines_decide(
+    evidence: str, reasons: tuple[str, ...]
+) -> None:
+    cause = replace(CAUSE, evidence=evidence)
+    summary = replace(FULL, causes=[cause, CAUSE], reasons=reasons, steps=(), lines=())
+    lines = brief(summary)
+    assert lines[1].text.startswith("  linearisation gap: ")
+    assert deciding_lines(lines) <= DECIDING
+    said = joined(lines)
+    assert "also: " in said
+    assert "9 notes; -v lists them" in said
+    assert ("the rest of the evidence" in said) == (evidence != "short" or "..." in said[80:])
+    assert deciding_lines(brief(summary, whole=True)) > DECIDING or evidence == "short"
+    alone = brief(replace(summary, causes=()))
+    assert len(alone) < 2 or deciding_lines(alone) <= DECIDING or not reasons
+
+
+def test_what_follows_is_one_line_and_no_more_is_claimed() -> None:
+    """Explained is what a job says is so; all else stands beside it."""
+    rows = [Row("NEES", "pose", "7", "0 to 5", inside) for inside in (False, True, None)]
+    causes = [CAUSE, replace(CAUSE, gap="optimum"), replace(CAUSE, gap="optimum")]
+    summary = Summary(headline="verdict: disagree", causes=causes, rows=rows)
+    cause = [replace(one, evidence="an angle") for one in causes]
+    last = brief(replace(summary, causes=cause))[-1].text
+    assert last == "  also: optimum, 1 figure outside the band; -v lists them"
+    told = replace(summary, causes=cause[:1], explained=("model gap", "first difference"))
+    assert brief(told)[-2].text.startswith("  explained by it: model gap, first difference; also: ")
+    assert "explained" not in joined(brief(replace(told, explained=())))
+
+
+def test_hints_are_bright() -> None:
+    styles = {line.style for line in brief(FULL) if "hint: " in line.text}
+    assert styles == {"bold"}
+
+
+def test_all_is_whole_where_it_is_asked_for() -> None:
+    said = joined(brief(FULL, "out", whole=True))
+    assert said.count(f"linearisation gap: {LONG.strip()} hint: look there") == 7
+    assert said.count(f"note: {LONG.strip()}") == 9
+    notes = brief(few(0, 9))
+    assert joined(notes).count("note: ") == MOST
+    assert "4 more notes; -v lists them" in joined(notes)
     plain = brief(Summary(headline="verdict: agree"), "out")
     assert [line.text for line in plain] == ["verdict: agree", "report:      out"]
 
@@ -223,3 +286,13 @@ def test_figures_stand_in_tables_as_they_are_declared() -> None:
         Row("Map", "landmarks: error", "0.250 m"),
         Row("Map", "landmarks: found", "2 of 3"),
     ]
+
+
+def test_what_explains_the_first_cause_stands_below_it_where_it_has_room() -> None:
+    noise = Cause(gap="noise", evidence="chi-square is too high", hint="check the sigma")
+    causes = [replace(CAUSE, gap="oracle", evidence="chi-square 8 above 5"), noise]
+    lines = [line.text for line in brief(Summary(headline="verdict: unverified", causes=causes))]
+    assert lines[3:] == ["  noise: chi-square is too high", "    hint: check the sigma"]
+    for other in (replace(noise, gap="optimum"), replace(noise, evidence=LONG)):
+        lines = [line.text for line in brief(Summary(headline="", causes=[causes[0], other]))]
+        assert lines[3:] == [f"  also: {other.gap}; -v lists them"]

@@ -24,10 +24,9 @@ from tests.helpers import compared, present
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
 
 
-@pytest.fixture(scope="module")
-def log() -> Log:
+def labelled_drive(steps: int) -> Log:
     """A short drive; its landmarks are numbered by first measurement."""
-    found = drive(5, "velocity", 120)
+    found = drive(5, "velocity", steps)
     order = found.measurements.labels_in_order.tolist()
     number = np.array([order.index(one) for one in found.measurements.landmark.tolist()])
     labels = {NAMES[k]: k for k in range(len(order))}
@@ -36,6 +35,11 @@ def log() -> Log:
         measurements=replace(found.measurements, landmark=number),
         provenance={"labels": json.dumps(labels)},
     )
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return labelled_drive(120)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +111,10 @@ def test_causes_and_departure_say_names(log: Log, run: Comparison) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id,x_m,y_m\noak,1,2\noak,1,2\n", "landmarks.csv:3: id is 'oak' a second time"),
+        (
+            "id,x_m,y_m\noak,1,2\noak,1,2\n",
+            "landmarks.csv:3: id 'oak' appears twice, expected each id once",
+        ),
         ("id,x_m,y_m\noak,1,2\n,1,2\n", "landmarks.csv:3: id is empty"),
         ("id,x_m,y_m\noak,1,x\n", "landmarks.csv:2: 'y_m' is 'x', expected a finite number"),
         ("id,x_m,y_m\noak,1,1e300\n", "landmarks.csv:2: expected at most"),

@@ -217,3 +217,38 @@ def test_a_jacobian_may_be_as_wide_as_the_state(others: int) -> None:
     whole_state, own_blocks = smoothers
     assert np.abs(whole_state.mean - own_blocks.mean).max() < 1e-12
     assert np.abs(whole_state.covariance - own_blocks.covariance).max() < 1e-12
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_perfect_measurement_is_what_a_precise_one_tends_to(rank: int, anchored: bool) -> None:
+    """R of no rank, or of one of two directions: mean and covariance by the Kalman update."""
+    rng = np.random.default_rng(4)
+    half = rng.standard_normal((4, 4))
+    p, h = half @ half.T, rng.standard_normal((2, 3))
+    g = rng.standard_normal((2, rank))
+    r, residual = g @ g.T, rng.standard_normal(2)
+    smoother = EventSmoother(("a", "b"), (1, 3), p)
+    if anchored:
+        smoother.marginal()
+        smoother.anchor()
+    smoother.measure(("b",), h, r, residual)
+    whole = np.hstack((np.zeros((2, 1)), h))
+    gain = p @ whole.T @ np.linalg.inv(whole @ p @ whole.T + r)
+    found = smoother.marginal()
+    np.testing.assert_allclose(found.mean, gain @ residual, atol=1e-10)
+    np.testing.assert_allclose(found.covariance, p - gain @ whole @ p, atol=1e-10)
+    if anchored:
+        link = smoother.anchor()
+        assert link is not None
+        np.testing.assert_allclose(link.mean_then, gain @ residual, atol=1e-10)
+
+
+def test_what_is_known_already_is_not_measured_again() -> None:
+    """The same perfect measurement twice: the second says nothing, not even by rounding."""
+    smoother = EventSmoother(("a",), (2,), np.eye(2))
+    for _ in range(2):
+        smoother.measure(("a",), np.array([[1.0, 0.5]]), np.zeros((1, 1)), np.array([0.3]))
+    found = smoother.marginal()
+    expected = np.eye(2) - np.outer([1.0, 0.5], [1.0, 0.5]) / 1.25
+    np.testing.assert_allclose(found.covariance, expected, atol=1e-12)

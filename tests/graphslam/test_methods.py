@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from graphslam import marginals
 from graphslam.arrays import Marginal
 from graphslam.graph_builder import build_graph, last_poses
 from graphslam.incremental import run_fixed_lag
 from graphslam.initialisation import extension
-from graphslam.marginals import SingularProblemError, eliminate
+from graphslam.marginals import SingularProblemError
 from graphslam.observability import explain_singularity
 from graphslam.optimisers import OPTIMISERS
 from graphslam.problem import SlamProblem
@@ -68,26 +67,6 @@ def test_optimisers_agree(problem: SlamProblem, name: str) -> None:
     assert abs(other.error - reference.error) < 1e-9 * reference.error
     assert other.optimality.verified
     assert other.rank == problem.state_dimension
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("at_once", [1, 7, 300])
-def test_covariances_of_poses_keep_no_marginals(
-    problem: SlamProblem, at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Equal to the bit however many are taken at once; what gtsam caches on the way is dropped."""
-    result = smooth(problem, {})
-    expected = result.pose_covariances()
-    trees: list[gtsam.GaussianBayesTree] = []
-
-    def kept(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
-        trees.append(eliminate(graph))
-        return trees[0]
-
-    monkeypatch.setattr(marginals, "POSES_AT_ONCE", at_once)
-    monkeypatch.setattr(marginals, "eliminate", kept)
-    assert np.array_equal(result.pose_covariances(), expected)
-    assert trees[0].numCachedSeparatorMarginals() == 0
 
 
 def test_isam2_reaches_the_optimum(problem: SlamProblem) -> None:

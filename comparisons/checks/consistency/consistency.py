@@ -92,15 +92,15 @@ class Consistency(Brief):
 
     def _remark(self, sensor: str, nis: Nis, reading: str, band: Band) -> str:
         of = nis.name if nis.name == sensor else f"{nis.name} ({sensor})"
-        meaning = f"{reading}: a sigma is too small or the filter is overconfident"
+        meaning = f"{reading}: larger innovations than the filter states"
         if reading == "too low":
-            meaning = f"{reading}: a sigma is too large"
+            meaning = f"{reading}: smaller innovations than the filter states"
         if self.gated and reading == "too low" and sensor == "measurements":
-            meaning += " or the association rejects the large ones"
+            meaning += ", or the association rejects the large ones"
+        joint = f"joint 99.9 % band of {self.bands} tests" if self.bands > 1 else "99.9 % band"
         return (
             f"mean NIS of {of} {nis.mean:.3g}, expected {nis.dof}, band {band.low:.3g} to "
-            f"{band.high:.3g}, is {meaning} (of {nis.count:,} innovations; the band is that of "
-            f"99.9 % for the run's {self.bands} bands together)"
+            f"{band.high:.3g}, is {meaning} (of {nis.count:,} innovations; {joint})"
         )
 
 

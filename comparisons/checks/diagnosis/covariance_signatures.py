@@ -165,7 +165,7 @@ def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
     yield "those from before the measurement update", poses.before, False
     yield "those of the previous pose", np.concatenate((e[:1], e[:-1])), False
     for words, then in (("prediction", poses.before), ("pose", e)):
-        text = f"those of the next {words}: an array that was recorded is written on (copy it)"
+        text = f"those of the next {words}: the recorded array was overwritten (store a copy)"
         yield text, np.concatenate((then[1:], e[-1:])), False
     if np.isfinite(poses.smoothed).all():
         yield "those of the smoother, which uses later measurements", poses.smoothed, False

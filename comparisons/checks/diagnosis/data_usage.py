@@ -73,7 +73,8 @@ def data_faults(
         if timed:
             late = step - timeline.steps_until()[epoch[number]]
             found += untimely(kind, late, 0.0, "{} odometry steps")
-        found += _counted(kind, number, weight)
+        entries = np.concatenate([use.entries[use.number >= 0] for use in records])
+        found += _counted(kind, number, weight[:, None] * entries)
     if labelled:
         label = log.measurements.landmark[: len(run.landmark_index)]
         found += _labels(label, run.landmark_index) or _names(label, run)
@@ -99,7 +100,8 @@ def untimely(kind: str, late: Array | Index, most: float, form: str) -> list[Dat
 
 
 def _counted(kind: str, number: Index, weight: Array) -> list[DataFault]:
-    total = np.bincount(number, weight)
+    """What is used more than once. weight: (M, r) of the information of each entry."""
+    total = np.max([np.bincount(number, column) for column in weight.T], axis=0)
     often = int(np.count_nonzero(total > 1.0 + _WHOLE))
     if not often:
         return []

@@ -26,7 +26,7 @@ class Departure:
 
     Attributes:
         time_s: when.
-        what: what departs from what.
+        what: what it departs from.
         event: event that it departs with.
         measurements: numbers of the measurements of that instant; none of a prediction or position.
         landmarks: their labels.
@@ -42,7 +42,7 @@ class Departure:
 
     def __str__(self) -> str:
         """Return it as a remark."""
-        return f"first departure: {self.what} at {self.time_s:.9g} s, {self.event}"
+        return f"first difference from {self.what} at {self.time_s:.9g} s, {self.event}"
 
     @property
     def briefly(self) -> str:
@@ -59,7 +59,7 @@ def departure_from(
     """
     left = []
     for reference in sound:
-        time_s = _left_s(given, reference)
+        time_s = departed_s(given, reference)
         if time_s is None:
             return None
         left.append((time_s, reference.name))
@@ -70,7 +70,7 @@ def departure_from(
     event = f"without a measurement{_CHECK_MOTION}"
     if len(rows):
         event = f"after {_measured(rows.tolist(), log)}"
-    return _departure(given, time_s, f"the poses leave {name}", event, rows.tolist(), log)
+    return _departure(given, time_s, name, event, rows.tolist(), log)
 
 
 def model_departure(
@@ -87,7 +87,7 @@ def model_departure(
     event = f"in a {first.relation.removesuffix('s')} ({first.quantity})" + (
         f", {_measured(rows, log)}" if rows else ""
     )
-    what = "the trace leaves the log's models"
+    what = "the log's models"
     return _departure(given, first.first_s or 0.0, what, event, rows, log)
 
 
@@ -107,8 +107,8 @@ def _departure(
     )
 
 
-def _left_s(given: ExternalEstimate, reference: Reference) -> float | None:
-    """When poses first differ from a reference's by more than rounding."""
+def departed_s(given: ExternalEstimate, reference: Reference) -> float | None:
+    """Return when poses first differ from a reference's by more than rounding; None for never."""
     reference = reference.at(given.time_s)
     given = with_poses(given, np.isin(given.time_s, reference.time_s))
     if not reference.known.any():

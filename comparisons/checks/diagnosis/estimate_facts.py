@@ -280,9 +280,11 @@ def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:
     if not other:
         return None
     names = [reference.landmark_name(row) for row in theirs.tolist()]
-    pairs = ", ".join(f"{names[k]} at {names[nearest]}" for k, nearest in other[:4])
+    pairs = ", ".join(f"{names[k]} lies on {names[nearest]}" for k, nearest in other[:4])
+    one = "1 landmark coincides with another"
+    some = one if len(other) == 1 else f"{len(other)} landmarks coincide with others"
     return Cause(
         "association",
-        f"{len(other)} landmarks lie at the position of another landmark: {pairs}",
+        f"{some}: {pairs}",
         "check for exchanged ids, and for measurements assigned to the wrong landmark",
     )

@@ -34,6 +34,6 @@ def exchanged_rows(prior: Prior, pose: Array, left: Array) -> str:
     x, y, heading = (f"{one:.3g}" for one in error)
     sigma = ", ".join(f"{one:.3g}" for one in np.sqrt(np.diag(prior.covariance)))
     return (
-        f"the prior is off by {x} m, {y} m and {heading} rad, and says {sigma}: it is too certain, "
-        f"or rows of its covariance are exchanged, by which that is probable: {listed}"
+        f"the prior is off by {x} m, {y} m and {heading} rad, with sigmas of {sigma}: these are "
+        f"too small, or rows of its covariance are exchanged; then it is probable: {listed}"
     )

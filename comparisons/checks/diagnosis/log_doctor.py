@@ -1,7 +1,8 @@
 """What is wrong with a log before any filter sees it: units, signs, columns, clocks, sigmas.
 
 Each suspicion is a change of the log that would mend it. The smoother solves a part of the log with
-the log's labels as it is and with each change; a change is named where it makes the log fit.
+the log's labels as it is and with each change; a change is named where what is left is the stated
+noise, as a whole and by sensor, landmark and time.
 """
 
 from __future__ import annotations
@@ -19,51 +20,67 @@ from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.diagnosis.log_fit import (
-    AS_WELL,
     LogFit,
     alike,
-    chi2_by_run,
-    explains,
     fitted_numbers,
+    promising,
+    solve_by_run,
 )
+from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from comparisons.logs.transforms.known_landmarks import indices_by_label, join_known_measurements
+from graphslam.goodness_of_fit import Goodness, far_less
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
 from graphslam.optimisers import levenberg_marquardt
-from graphslam.optimum import ChiSquareTest, chi_square_test
+from graphslam.optimum import ChiSquareTest
 from graphslam.search import relaxed_values
 from graphslam.smoother import SmootherResult
 
 _MOST_MEASUREMENTS = 600
-"""Of the part that is solved."""
+"""Of the part that is solved first."""
 _FEWEST = 20
 """Degrees of freedom; fewer tell nothing."""
-_HALF = 0.5
-"""A change of signs or columns that leaves less of chi-square is named where the log fits, too."""
 _TOLERANCE = 1e-5
 _DEGREE = np.pi / 180.0
 
 
 class Examination(NamedTuple):
-    """test: of the log as it is. findings: alike, the likeliest first. lacks: why none is tried."""
+    """What is wrong with a log.
+
+    test: of the log as it is, or of its first part. findings: changes with which all of it fits,
+    the likeliest first. lacks: why none is tried. departure: where its residuals leave the stated
+    noise, if no change makes it fit. part: what is tested, where that is not the whole.
+    """
 
     test: ChiSquareTest
     findings: list[LogFit]
     lacks: str = ""
+    departure: str = ""
+    part: str = ""
 
     @property
     def words(self) -> str:
-        """A sentence with the figures and what mends it; empty where nothing is found."""
-        if not self.findings:
+        """A sentence with the figures and what mends it, or where the log leaves its noise.
+
+        Empty where nothing is wrong.
+        """
+        test = self.test
+        if self.findings:
+            what = ", or if ".join(f"{one.what} ({one.mend})" for one in self.findings)
+            return (
+                f"the log fits if {what}: the smoother's chi-square falls from {test.chi2:.4g} to "
+                f"{self.findings[0].chi2:.4g} with this changed, for {test.dof} degrees of freedom"
+            )
+        if test.reading != "too high":
             return ""
-        what = ", or ".join(f"{one.what} ({one.mend})" for one in self.findings)
+        where = f"; {self.departure}" if self.departure else ""
         return (
-            f"{what}: the smoother's chi-square falls from {self.test.chi2:.4g} to "
-            f"{self.findings[0].chi2:.4g} with this changed, for {self.test.dof} degrees of freedom"
+            f"chi-square{self.part} is too high, {test.chi2:.4g} for {test.dof} degrees of "
+            f"freedom, and no single change fits{where}"
         )
 
 
@@ -77,71 +94,108 @@ class _Suspicion(NamedTuple):
     unit: bool = False
 
 
+class _Tested(NamedTuple):
+    """A log, or its first part, and its optimum. solve: of it with a change."""
+
+    log: Log
+    solved: SolvedLog
+    solve: Solve
+
+    @property
+    def test(self) -> ChiSquareTest:
+        """Of the log as it is."""
+        return self.solved.goodness.test
+
+
 def examine(log: Log) -> Examination:
     """Return what is wrong with units, signs, columns, clocks or sigmas of a log with labels.
 
-    Nothing for a log that fits, or that no single change makes fit.
+    Nothing for a log that fits. Of a long log a part is solved first; what makes that fit has to
+    make all of it fit.
     """
-    return _examined(log, numbers=True)
+    log = join_known_measurements(log)
+    part = _part(log)
+    tested, lacks = _tested(part)
+    if tested is None:
+        return Examination(ChiSquareTest(0.0, 0, 0.0, 0.0), [], lacks)
+    whole = tested if part is log else None
+    scope = "" if whole else f" of its first {len(part.measurements.time_s)} measurements"
+    for changes in (_of_suspicions, _of_numbers, _of_variances):
+        if not changes(tested):
+            continue
+        whole = whole or _tested(log)[0]
+        if whole is not None and (fits := changes(whole)):
+            return Examination(whole.test, fits)
+    high = tested.test.reading == "too high"
+    departure = tested.solved.departure if high else ""
+    return Examination(tested.test, [], departure=departure, part=scope)
 
 
-def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
-    """Return what makes not only a part of a log fit, but all that a run used of it.
+def examine_run(log: Log, run: EkfRun, result: SmootherResult, solved: SolvedLog) -> list[LogFit]:
+    """Return what makes a log fit as a run used it, the likeliest first.
 
-    log: as the estimators read it. result: the smoother's, whose chi-square is too high, and which
-    no number explains.
+    log: as the estimators read it, with labels; else nothing. result: the smoother's, whose
+    chi-square is too high, and which no number explains. solved: the same.
     """
-    of_part, chi2_of = _examined(log, numbers=False), chi2_by_run(run, result)
-
-    def fits(one: LogFit) -> bool:
-        try:
-            chi2 = chi2_of(one.change(log), True)
-        except (InputError, RuntimeError):
-            return False
-        return explains(result.optimality.chi_square, chi2, len(of_part.findings))
-
-    return of_part._replace(findings=[one for one in of_part.findings if fits(one)])
-
-
-def _examined(log: Log, *, numbers: bool) -> Examination:
-    """Return what makes a part of a log fit. numbers: fit those of the sensors as well."""
-    part, test, lacks = _tested(log)
-    if lacks:
-        return Examination(test, [], lacks)
-    found = _named(part, test, _suspicions(part))
-    if numbers and _unexplained(test, found):
-        found += fitted_numbers(part, lambda changed, _: _solved(changed)[0], test)
-    if _unexplained(test, found):
-        found += _named(part, test, _as_variances(part))
-    return Examination(test, alike(found))
-
-
-def _unexplained(test: ChiSquareTest, found: list[LogFit]) -> bool:
-    """Whether chi-square is too high and stays so with every change that was found."""
-    least = min((one.chi2 for one in found), default=np.inf)
-    return test.reading == "too high" and least > AS_WELL * test.upper
-
-
-def _tested(log: Log) -> tuple[Log, ChiSquareTest, str]:
-    """Return the part that is solved, its test, and why there is none."""
-    none = ChiSquareTest(0.0, 0, 0.0, 0.0)
     if not log.measurements.labelled or not len(log.odometry.time_s):
-        return log, none, "the log has no labelled measurements of landmarks"
-    part = _part(join_known_measurements(log))
-    chi2, dof = _solved(part)
-    if not np.isfinite(chi2) or dof < _FEWEST:
-        return part, none, "the smoother cannot solve a part of it"
-    return part, chi_square_test(0.5 * chi2, dof), ""
+        return []
+    part = _part(replace(log, positions=run.positions))
+    whole = _Tested(log, solved, solve_by_run(run, result))
+    tested = whole if len(part.measurements.time_s) == len(log.measurements.time_s) else None
+    tested = tested or _tested(join_known_measurements(part))[0]
+    for changes in (_of_suspicions, _of_variances):
+        if tested is not None and changes(tested) and (fits := changes(whole)):
+            return fits
+    return []
 
 
-def _named(part: Log, test: ChiSquareTest, suspicions: Iterator[_Suspicion]) -> list[LogFit]:
-    tried = [(one, _solved(part, one.change)[0]) for one in suspicions]
-    return [
-        LogFit(one.what, chi2, one.change, one.mend, one.unit)
-        for one, chi2 in tried
-        if (test.reading == "too high" and explains(test, chi2, len(tried)))
-        or (one.keeps_size and chi2 < _HALF * test.chi2)
-    ]
+def _of_suspicions(tested: _Tested) -> list[LogFit]:
+    return _named(tested, list(_suspicions(tested.log)))
+
+
+def _of_numbers(tested: _Tested) -> list[LogFit]:
+    if tested.test.reading != "too high":
+        return []
+    return fitted_numbers(tested.log, tested.solve, tested.test)
+
+
+def _of_variances(tested: _Tested) -> list[LogFit]:
+    if tested.test.reading != "too high":
+        return []
+    return _named(tested, list(_as_variances(tested.log)))
+
+
+def _named(tested: _Tested, suspicions: list[_Suspicion]) -> list[LogFit]:
+    """Return the changes that leave the stated noise, or, of signs and columns, less than it."""
+    test, fits = tested.test, []
+    for one in suspicions:
+        if test.reading != "too high" and not one.keeps_size:
+            continue
+        try:
+            solved = tested.solve(one.change(tested.log), True)
+        except (InputError, RuntimeError, ValueError):
+            continue
+        goodness = solved.goodness
+        if promising(test, solved.chi2, len(suspicions)):
+            fit = goodness.sound
+        else:
+            fit = one.keeps_size and far_less(goodness.test, test) and goodness.within
+        if fit:
+            fits.append(LogFit(one.what, solved, one.change, one.mend, one.unit))
+    return alike(fits)
+
+
+def _tested(log: Log) -> tuple[_Tested | None, str]:
+    """Return a log with its optimum, or why there is none."""
+    if not log.measurements.labelled or not len(log.odometry.time_s):
+        return None, "the log has no labelled measurements of landmarks"
+    try:
+        solved = _solved(log)
+    except (InputError, RuntimeError, ValueError):
+        solved = None
+    if solved is None or not np.isfinite(solved.chi2) or solved.goodness.test.dof < _FEWEST:
+        return None, "the smoother cannot solve a part of it"
+    return _Tested(log, solved, _solved), ""
 
 
 def _part(log: Log) -> Log:
@@ -152,19 +206,15 @@ def _part(log: Log) -> Log:
     return cut_log(log, None, float(time_s[_MOST_MEASUREMENTS]) - log.prior.time_s)
 
 
-def _solved(log: Log, change: Callable[[Log], Log] | None = None) -> tuple[float, int]:
-    """Chi-square and degrees of freedom of the smoother, infinite where it cannot be solved."""
-    try:
-        log = log if change is None else change(log)
-        timeline = build_timeline(log, log.positions)
-        index, ids = indices_by_label(log)
-        problem = assemble(log, timeline, index, len(ids), position_rows(timeline, log.positions))
-        graph = build_graph(problem)
-        values = levenberg_marquardt(graph, relaxed_values(problem), _TOLERANCE)[0]
-        dof = problem.residual_dimension - problem.state_dimension
-        return 2.0 * float(graph.error(values)), dof
-    except (InputError, RuntimeError, ValueError):
-        return np.inf, 0
+def _solved(log: Log, _: bool = True) -> SolvedLog:
+    """The smoother's optimum by the labels. Raises InputError, RuntimeError or ValueError."""
+    timeline = build_timeline(log, log.positions)
+    index, ids = indices_by_label(log)
+    problem = assemble(log, timeline, index, len(ids), position_rows(timeline, log.positions))
+    graph = build_graph(problem)
+    values = levenberg_marquardt(graph, relaxed_values(problem), _TOLERANCE)[0]
+    goodness = Goodness(problem, graph, values)
+    return SolvedLog(goodness, timeline.epoch_time_s, ids.tolist(), log.labels)
 
 
 def _suspicions(log: Log) -> Iterator[_Suspicion]:

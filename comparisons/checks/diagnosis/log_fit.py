@@ -1,8 +1,8 @@
-"""Which single number of the log's sensors, if it were another, would make the smoother fit.
+"""Which single number of the log's sensors, if it were another, makes the smoother fit.
 
 Each is fitted alone by minimising the chi-square of the smoother's optimum over it: scales of
 speed, turn, range and bearing (-1 for the opposite sign), offsets of the last three, and the clock
-of the measurements.
+of the measurements. It is named where what is left is the stated noise, everywhere.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from scipy.special import fdtrc
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.adapters.timeline import build_timeline
+from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Poses
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.transforms.calibration import Line, delayed, driven, sensed
+from graphslam.goodness_of_fit import Goodness
 from graphslam.graph_builder import build_graph, to_values
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import ChiSquareTest
 from graphslam.search import relaxed_values
 from graphslam.smoother import SmootherResult
 
-LEAST_SHARE = 0.8
-"""Of what chi-square is too high by, that a number must remove to be named."""
 LEVEL = 1e-6
 """Of the F test of all numbers together."""
 _ROUNDS = 4
 _MOST_REFINED = 3
-AS_WELL = 1.5
-"""Times the least chi-square: what leaves no more may be the one."""
+_AS_LIKELY = -2.0 * float(np.log(LEVEL))
+"""Chi-square above the least: what leaves no more may be the one."""
 _DELAYS_S = (-2.0, -1.0, -0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 1.0, 2.0)
 _TOLERANCE = 1e-6
 """Of the smoother's error, relative."""
@@ -50,15 +50,25 @@ _WORDS: dict[type, tuple[str, str]] = {
 class LogFit(NamedTuple):
     """A change with which the log fits.
 
-    what: in words. chi2: with it. change: makes the log as it should be. mend: what corrects it.
+    what: in words. solved: with it. change: makes the log as it should be. mend: what corrects it.
     unit: it is about a unit.
     """
 
     what: str
-    chi2: float
+    solved: SolvedLog
     change: Callable[[Log], Log]
     mend: str = "correct the calibration or the clock"
     unit: bool = False
+
+    @property
+    def chi2(self) -> float:
+        """Of the whole with the change."""
+        return self.solved.chi2
+
+    @property
+    def fits(self) -> bool:
+        """Whether what is left is the stated noise: as a whole, by sensor, landmark and time."""
+        return self.solved.goodness.sound
 
 
 class _Number(NamedTuple):
@@ -100,15 +110,11 @@ def _of_sensor(
         yield _Number(offset, lambda g, b: change(g, (1.0, b)), 0.0, step)
 
 
-def chi2_by_run(run: EkfRun, result: SmootherResult) -> Callable[[Log, bool], float]:
-    """Return the smoother's chi-square, by a run's association, of a log that is changed.
-
-    The function is given that log, and whether its optimum may lie elsewhere than the run's. It
-    raises InputError or RuntimeError where it has none.
-    """
+def solve_by_run(run: EkfRun, result: SmootherResult) -> Solve:
+    """Return the solution, by a run's association, of a log that is changed."""
     poses = Poses(run.timeline.epoch_time_s, result.poses)
 
-    def chi2_of(changed: Log, afresh: bool) -> float:
+    def solved(changed: Log, afresh: bool) -> SolvedLog:
         timeline = build_timeline(changed, run.positions)
         problem = build_problem(changed, replace(run, timeline=timeline))
         graph = build_graph(problem)
@@ -117,65 +123,53 @@ def chi2_by_run(run: EkfRun, result: SmootherResult) -> Callable[[Log, bool], fl
         else:
             seen = problem.seen_landmarks, problem.pose_landmarks
             values = to_values(poses.at(timeline.epoch_time_s), result.landmarks, *seen)
-        return 2.0 * float(graph.error(levenberg_marquardt(graph, values, _TOLERANCE)[0]))
+        optimum = levenberg_marquardt(graph, values, _TOLERANCE)[0]
+        ids, labels = run.estimate.landmark_id.tolist(), dict(run.estimate.labels)
+        return SolvedLog(Goodness(problem, graph, optimum), timeline.epoch_time_s, ids, labels)
 
-    return chi2_of
-
-
-def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
-    """Return the numbers that make a log fit as the estimators read it, the best first.
-
-    run: with the association. result: the smoother's, whose chi-square is too high.
-    """
-    return fitted_numbers(log, chi2_by_run(run, result), result.optimality.chi_square)
+    return solved
 
 
-def fitted_numbers(
-    log: Log, chi2_of: Callable[[Log, bool], float], test: ChiSquareTest
-) -> list[LogFit]:
+def fitted_numbers(log: Log, solve: Solve, test: ChiSquareTest) -> list[LogFit]:
     """Return the numbers that make a log fit whose chi-square is too high, the best first.
 
-    chi2_of: as of `chi2_by_run`. test: of the log as it is.
+    test: of the log as it is.
     """
     rough = []
     for one in _numbers(log):
-        fit = _Fit(log, chi2_of, test.chi2, one)
+        fit = _Fit(log, solve, test.chi2, one)
         rough.append((fit.round(), fit))
     rough.sort(key=lambda pair: pair[0])
-    found = []
+    candidates = []
     for _, fit in rough[:_MOST_REFINED]:
-        chi2 = fit.refined()
-        if explains(test, chi2, len(rough)):
-            found.append(fit.log_fit)
-    return alike(found)
+        if promising(test, fit.refined(), len(rough)):
+            candidates.append(fit.log_fit)
+    return alike([one for one in candidates if one.fits])
 
 
-def alike(found: Sequence[LogFit]) -> list[LogFit]:
-    """Return the likeliest first, and those that leave not much more than it."""
-    least = min((one.chi2 for one in found), default=0.0)
-    return sorted((one for one in found if one.chi2 <= AS_WELL * least), key=lambda one: one.chi2)
+def alike(fits: Sequence[LogFit]) -> list[LogFit]:
+    """Return the likeliest first, and those that are not much less likely."""
+    least = min((one.chi2 for one in fits), default=0.0)
+    return sorted((one for one in fits if one.chi2 <= least + _AS_LIKELY), key=lambda one: one.chi2)
 
 
-def explains(test: ChiSquareTest, chi2: float, numbers: int) -> bool:
-    """Whether a fitted number explains a chi-square that is too high.
+def promising(test: ChiSquareTest, chi2: float, changes: int) -> bool:
+    """Whether a change may explain a chi-square that is too high: no more is left than noise.
 
     What makes chi-square too low instead, as a scale that shrinks all residuals, explains nothing.
-    test: without the number. chi2: with it. numbers: how many were tried.
+    test: without the change. chi2: with it. changes: how many were tried.
     """
-    removed = test.chi2 - chi2
-    if chi2 < test.lower or removed < LEAST_SHARE * (test.chi2 - test.dof):
+    if not test.lower <= chi2 <= test.upper < test.chi2:
         return False
-    f = removed / (chi2 / max(test.dof - 1, 1))
-    return numbers * float(fdtrc(1, test.dof - 1, f)) < LEVEL
+    f = (test.chi2 - chi2) / (chi2 / max(test.dof - 1, 1))
+    return changes * float(fdtrc(1, test.dof - 1, f)) < LEVEL
 
 
 class _Fit:
     """Newton's method on chi-square by one number."""
 
-    def __init__(
-        self, log: Log, chi2_of: Callable[[Log, bool], float], chi2: float, number: _Number
-    ) -> None:
-        self._log, self._chi2_of, self._number = log, chi2_of, number
+    def __init__(self, log: Log, solve: Solve, chi2: float, number: _Number) -> None:
+        self._log, self._solve, self._number = log, solve, number
         self._at, self._step = number.neutral, number.step
         self._chi2, self._afresh = chi2, True
         opposite = self._of(-number.neutral) if number.neutral else np.inf
@@ -189,7 +183,8 @@ class _Fit:
     def log_fit(self) -> LogFit:
         """The number as it is."""
         number, at = self._number, self._at
-        return LogFit(number.words.format(at), self._chi2, lambda log: number.change(log, at))
+        solved = self._solve(number.change(self._log, at), self._afresh)
+        return LogFit(number.words.format(at), solved, lambda log: number.change(log, at))
 
     def refined(self) -> float:
         """Chi-square at the number that fits best."""
@@ -231,6 +226,6 @@ class _Fit:
     def _of(self, number: float) -> float:
         """Chi-square of the smoother with the number; infinite where the log cannot have it."""
         try:
-            return self._chi2_of(self._number.change(self._log, number), self._afresh)
-        except (InputError, RuntimeError):
+            return self._solve(self._number.change(self._log, number), self._afresh).chi2
+        except (InputError, RuntimeError, ValueError):
             return np.inf

@@ -81,6 +81,7 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
     sigma = np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))
     z = every[r.number]
     z_hat, h = _rays(r.pose, r.landmark)
+    r = _completed(r, z - z_hat, h, sigma[r.number])
     last = np.maximum(r.step - 1, 0)
     scans, which = np.unique(r.step, return_inverse=True)
     before = r.pose[np.searchsorted(r.step, scans)][np.maximum(which - 1, 0)]
@@ -120,6 +121,26 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
             "bearing [rad]": z[:, 1],
             "landmark": run.estimate.landmark_id[r.landmark_index].astype(np.int64),
         },
+    )
+
+
+def _completed(r: MeasurementRecords, nu: Array, h: Array, sigma: Array) -> MeasurementRecords:
+    """Return records whose unused entries are as the log's model has them: they hint at nothing.
+
+    nu, sigma: (N, 2) residuals and standard deviations; h: (N, 2, 5) Jacobians.
+    """
+    used = r.entries > 0.0
+    if used.all():
+        return r
+    residual, noise = r.innovation.copy(), r.noise.copy()
+    of_pose, of_landmark = r.jacobian_pose.copy(), r.jacobian_other.copy()
+    rows, entries = np.nonzero(~used)
+    wrapped = np.column_stack((nu[:, 0], wrap_angle(nu[:, 1])))
+    residual[rows, entries] = wrapped[rows, entries]
+    of_pose[rows, entries], of_landmark[rows, entries] = np.split(h[rows, entries], [3], axis=1)
+    noise[rows, entries, entries] = sigma[rows, entries] ** 2 / r.weight[rows]
+    return replace(
+        r, innovation=residual, jacobian_pose=of_pose, jacobian_other=of_landmark, noise=noise
     )
 
 

@@ -137,38 +137,39 @@ def model_differences(
     their own. events, sensors: of each kind of relations, where known.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
-    measurements = {
-        kind: (_of_relations(_first(recorded.measurements[kind], len(seen.b))), _of_relations(seen))
-        for kind, seen in own.measurements.items()
-    }
-    positions = _of_positions(recorded.positions), _of_positions(own.positions)
+    measurements = {}
+    for kind, seen in own.measurements.items():
+        said, meant = _completed(_first(recorded.measurements[kind], len(seen.b)), seen)
+        measurements[kind] = _of_relations(said), _of_relations(meant)
+    fixes, own_fixes = _with_all_entries(recorded.positions, own.positions)
+    positions = _of_positions(fixes), _of_positions(own_fixes)
     merges = {
         kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
         for kind, merged in own.merges.items()
     }
-    said, meant = measurements[POINT]
-    uses = len(meant.place) - initialised
+    of_points, own_points = measurements[POINT]
+    uses = len(own_points.place) - initialised
     kinds = (
         (PREDICTIONS, "the predicted pose", *steps),
-        (UPDATES, "the innovation", said.rows(0, uses), meant.rows(0, uses)),
-        (INITIALISATIONS, "the innovation", said.rows(uses), meant.rows(uses)),
+        (UPDATES, "the innovation", of_points.rows(0, uses), own_points.rows(0, uses)),
+        (INITIALISATIONS, "the innovation", of_points.rows(uses), own_points.rows(uses)),
         (POSITIONS, "the innovation", *positions),
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
     found = _priors(recorded.prior, own.prior, tolerance)
-    for kind, place, said, meant in kinds:
-        differences = _compare(place, said, meant)
-        if kind in sensors:
-            differences = _as_recorded(kind, differences, *sensors[kind], tolerance, stored)
+    for relation, place, have, want in kinds:
+        differences = _compare(place, have, want)
+        if relation in sensors:
+            differences = _as_recorded(relation, differences, *sensors[relation], tolerance, stored)
         for quantity, unit, difference, absent in differences:
-            off = ~(difference <= tolerance + stored.get((kind, quantity), 0.0))
+            off = ~(difference <= tolerance + stored.get((relation, quantity), 0.0))
             if not off.any():
                 continue
-            first_s, number = _first_event(off, events.get(kind))
+            first_s, number = _first_event(off, events.get(relation))
             found.append(
                 ModelDifference(
-                    relation=kind,
+                    relation=relation,
                     quantity=quantity,
                     count=int(np.count_nonzero(off)),
                     total=len(off),
@@ -314,6 +315,45 @@ def _of_relations(r: LinearRelations) -> _Places:
     place = (inverse @ r.b[..., None])[..., 0]
     root = _noisy(inverse, r.sigma)
     return _Places(place, jacobian, root @ root.transpose(0, 2, 1))
+
+
+def _completed(
+    said: LinearRelations, meant: LinearRelations
+) -> tuple[LinearRelations, LinearRelations]:
+    """Return relations where those of one entry of a measurement have another, the same in both.
+
+    It says, to a unit noise, where across the entry's own direction the landmark lies.
+    """
+    unused = ~(meant.a.any(axis=2) | meant.c.any(axis=2))
+    if not unused.any():
+        return said, meant
+    rows, entries = np.nonzero(unused)
+    across = meant.c[rows, 1 - entries, ::-1] * (1.0, -1.0)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+
+    def whole(r: LinearRelations) -> LinearRelations:
+        c = r.c.copy()
+        c[rows, entries] = across
+        return replace(r, c=c)
+
+    return whole(said), whole(meant)
+
+
+def _with_all_entries(
+    said: LinearPositions, meant: LinearPositions
+) -> tuple[LinearPositions, LinearPositions]:
+    """Return positions where those of one entry alone have the other, the same in both."""
+    unused = ~meant.a.any(axis=2)
+    if not unused.any():
+        return said, meant
+    rows, entries = np.nonzero(unused)
+
+    def whole(p: LinearPositions) -> LinearPositions:
+        a = p.a.copy()
+        a[rows, entries, entries] = 1.0
+        return replace(p, a=a)
+
+    return whole(said), whole(meant)
 
 
 def _noisy(inverse: Array, sigma: Array | None) -> Array:

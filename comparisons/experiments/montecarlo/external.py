@@ -21,7 +21,7 @@ from typing import IO
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, printable
+from comparisons.errors import InputError, printable, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.experiments.montecarlo.config import FILTER_NAMES
@@ -34,6 +34,7 @@ from ekf_reference.core.geometry import wrap_angle
 
 Estimator = Callable[[Log], Estimate | ExternalEstimate]
 TIMEOUT_S = 600.0
+_PLAIN = re.compile(r"""[^\s'"\\#]+""")
 _NAMED = re.compile(r"([a-z][a-z0-9_-]{0,19})=(.*)", re.DOTALL)
 _LEAST_SHARE = 0.95
 """Of the instants with measurements at which an estimate must have a pose."""
@@ -83,14 +84,19 @@ class Command:
         try:
             words = tuple(shlex.split(text))
         except ValueError as error:
-            raise InputError(f"--command: {text}: {str(error).lower()}") from None
+            raise InputError(f"--command: {shorten(text, 200)}: {str(error).lower()}") from None
         for mark in ("{log}", "{out}"):
             if not any(mark in word for word in words):
                 raise InputError(
-                    f"--command: {text}: holds no {mark}, expected for example "
+                    f"--command: {shorten(text, 200)}: holds no {mark}, expected for example "
                     "python my_ekf.py {log} {out}"
                 )
         return cls(words, timeout_s)
+
+    @property
+    def text(self) -> str:
+        """What is split into these words, quoted where it has to be."""
+        return " ".join(one if _PLAIN.fullmatch(one) else shlex.quote(one) for one in self.words)
 
     @property
     def sha256(self) -> str:
@@ -196,8 +202,8 @@ def check_names(names: Iterable[str]) -> None:
     for name in names:
         if name in FILTER_NAMES or not _NAMED.fullmatch(f"{name}="):
             raise InputError(
-                f"estimator '{name}': expected up to 20 of a-z, 0-9, _ and -, from a letter on, "
-                f"and none of {', '.join(FILTER_NAMES)}"
+                f"estimator '{shorten(name)}': expected up to 20 of a-z, 0-9, _ and -, from a "
+                f"letter on, and none of {', '.join(FILTER_NAMES)}"
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from pydantic import TypeAdapter
 
 from comparisons.atomic import OWN, write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
-from comparisons.experiments.montecarlo.page import study_page
+from comparisons.experiments.montecarlo.external import Command
+from comparisons.experiments.montecarlo.page import again_with, study_page
 from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
     DOF,
@@ -20,6 +22,7 @@ from comparisons.experiments.montecarlo.statistics import (
     per_run,
 )
 from comparisons.experiments.montecarlo.study import Outcome
+from comparisons.experiments.montecarlo.verdict import study_verdict
 from comparisons.report.picture import save
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
@@ -28,21 +31,22 @@ RESULT = "montecarlo.json"
 _MOST_FAILURES = 5
 _MOST_FILTERS = 8
 """Filters that have a line on the terminal unless more is asked for."""
-_PLACES = {
-    "above": "above the 95 % band, too certain",
-    "inside": "inside the 95 % band",
-    "below": "below the 95 % band, too cautious",
-    "not given": "no covariances",
-}
 
 
-def write_montecarlo(outcome: Outcome, folder: Path) -> None:
-    """Write the settings, the figures, those of each run, page and picture, each whole."""
+def write_montecarlo(
+    outcome: Outcome, folder: Path, commands: Mapping[str, Command] | None = None
+) -> None:
+    """Write the settings, the figures, those of each run, page and picture, each whole.
+
+    commands: the user's filters; what repeats the study stands on the page alone, for a file that
+    is read runs no command.
+    """
+    again = again_with(folder, commands) if commands else None
     result = TypeAdapter(Outcome).dump_json(outcome, indent=2)
     texts = {
         CONFIG: outcome.study.config.toml(),
         RESULT: result.decode() + "\n",
-        "report.html": study_page(outcome, remarks(outcome)),
+        "report.html": study_page(outcome, remarks(outcome), again),
         "runs.csv": _run_rows(outcome),
     }
     for name, text in texts.items():
@@ -67,17 +71,6 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(value)
 
 
-def _places(figures: FilterFigures) -> str:
-    """Where a filter's average NEES lie: what is not inside its band, else that all are."""
-    by: dict[str, list[str]] = {}
-    for quantity, one in figures.consistency.items():
-        by.setdefault(one.place, []).append(quantity)
-    if len(by) == 1:
-        return _PLACES[next(iter(by))]
-    by.pop("inside", None)
-    return ", ".join(f"{_PLACES[place]}: {' and '.join(names)}" for place, names in by.items())
-
-
 def montecarlo_summary(outcome: Outcome) -> Summary:
     """Return what the command prints: consistent filters, then NEES and errors of each filter."""
     repeated = []
@@ -85,16 +78,14 @@ def montecarlo_summary(outcome: Outcome) -> Summary:
         repeated.append(f"results of commands that were used again: {outcome.reused}")
     if outcome.damaged:
         repeated.append(f"damaged chunk files, computed again: {outcome.damaged}")
-    alike: dict[str, list[str]] = {}
-    for name, figures in outcome.filters.items():
-        alike.setdefault(_places(figures), []).append(name)
-    found = [f"{', '.join(names)} {words}" for words, names in alike.items()]
+    headline, look = study_verdict(outcome)
     shown = list(outcome.filters.items())[:_MOST_FILTERS]
     lines = [(name, _filter_line(figures)) for name, figures in shown]
     if more := len(outcome.filters) - len(shown):
         lines.append(("more", f"{more} filters in the report"))
     return Summary(
-        headline=f"NEES: {'; '.join(found)}",
+        headline=headline,
+        look=look,
         remarks=[*remarks(outcome), *repeated],
         lines=[
             (
@@ -155,7 +146,7 @@ def remarks(outcome: Outcome) -> list[str]:
         if absent:
             lines.append(f"{name}: no covariances, so no NEES, of {', '.join(absent)}")
     if outcome.final_map:
-        lines.append("landmarks: of the map at the end, as an estimate holds no other")
+        lines.append("landmarks: of the final map")
     return lines
 
 

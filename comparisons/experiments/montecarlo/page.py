@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Mapping
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.experiments.montecarlo.chunk_files import CONFIG
+from comparisons.experiments.montecarlo.external import TIMEOUT_S, Command
 from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, Pair, per_run
+from comparisons.experiments.montecarlo.verdict import study_verdict
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
 from comparisons.report.marks import TIME, Band, Curve, Panel
@@ -30,24 +36,44 @@ _WHAT = {
 
 def framed_page(outcome: Outcome) -> str:
     """Return the page as a notebook shows it."""
-    return framed(study_page(outcome, [], stored=False))
+    return framed(study_page(outcome, [], ""))
 
 
-def study_page(outcome: Outcome, remarks: list[str], *, stored: bool = True) -> str:
-    """The whole page. remarks: what stands beside the figures. stored: beside its config.toml."""
+def again_with(folder: Path, commands: Mapping[str, Command]) -> str:
+    """Return the command that repeats a study of the user's filters, as a part of its page.
+
+    folder: of the study, from the folder in which the commands were given.
+    """
+    options = list[str]()
+    for name, command in commands.items():
+        options += ["--command", f"{name}={command.text}"]
+    for timeout_s in {command.timeout_s for command in commands.values()} - {TIMEOUT_S}:
+        options += ["--timeout", f"{timeout_s:g}"]
+    place = "in the folder in which it was started"
+    return again("montecarlo", file=shlex.quote(str(folder / CONFIG)), options=options, place=place)
+
+
+def study_page(outcome: Outcome, remarks: list[str], repeated: str | None = None) -> str:
+    """The whole page.
+
+    remarks: what stands beside the figures. repeated: how the study is repeated, as HTML; by its
+    config.toml beside the page where nothing is given.
+    """
+    headline, look = study_verdict(outcome)
     reported = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
     rows = sum(pair.runs > 0 for pair in outcome.pairs)
     parts = [
         f"<header><h1>{escape(outcome.scenario)}</h1><p>{outcome.runs:,} runs of "
-        f"{outcome.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
+        f"{outcome.steps:,} steps, {outcome.landmarks} landmarks</p>"
+        f'<p><span class="verdict {look}">{escape(headline)}</span></p></header>',
         f'<p class="note">{escape(outcome.description)}</p>',
         f'<ul class="note">{reported}</ul>' if reported else "",
-        again("montecarlo") if stored else "",
+        again("montecarlo") if repeated is None else repeated,
         "<h2>Consistency: mean NEES</h2>",
         _consistency(outcome),
         f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '
-        "step, by chi-square. A mean over steps, or over landmarks, spreads less: outside is "
-        "outside, inside is the weaker statement. The count of last poses within their own band "
+        "step, by chi-square. A mean over steps, or over landmarks, has a narrower true band: "
+        "outside is certain, inside is not. The count of last poses within their own band "
         "is exact, too, by the binomial.</p>",
         "<h2>Errors</h2>",
         _errors(outcome),

@@ -35,8 +35,8 @@ def anees_band(runs: int, dof: int) -> tuple[float, float]:
 class Consistency:
     """Average NEES over runs and time, of one block of the state.
 
-    A mean over steps (or landmarks) spreads less than the band of one step, so outside is outside
-    at the stated level, and inside is the weaker statement.
+    A mean over steps (or landmarks) has a narrower true band than one step, so that outside is
+    certain at the stated level, and inside is not.
 
     Attributes:
         anees: average normalised estimation error squared.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any, TypeVar
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.pipeline.beside import cores, end_with
 
 Result = TypeVar("Result")
@@ -49,7 +49,7 @@ def one_each_core() -> int:
 def check_workers(workers: int) -> None:
     """Raise InputError for a number of processes that no machine has."""
     if not 1 <= workers <= _MOST_WORKERS:
-        raise InputError(f"--workers is {str(workers)[:30]}, expected 1 to {_MOST_WORKERS}")
+        raise InputError(f"--workers is {quoted(workers)}, expected 1 to {_MOST_WORKERS}")
 
 
 def _placed(
@@ -72,4 +72,6 @@ def _client(address: str) -> Any:
     try:
         return connect(address, timeout=10)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"scheduler {address}: cannot be reached ({error})") from None
+        raise InputError(
+            f"scheduler {shorten(address, 200)}: cannot be reached ({error})"
+        ) from None

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.experiments.reproduction.claims import Claim, Claims
 from comparisons.figures import Aside
 from comparisons.logs.bundled import open_log
@@ -38,7 +38,7 @@ class Sources:
     def __post_init__(self) -> None:
         """Raises InputError."""
         if not 1 <= self.drives <= MOST_DRIVES:
-            raise InputError(f"--drives is {self.drives}, expected 1 to {MOST_DRIVES}")
+            raise InputError(f"--drives is {quoted(self.drives)}, expected 1 to {MOST_DRIVES}")
         if self.data is None:
             return
         if not self.data.is_dir():

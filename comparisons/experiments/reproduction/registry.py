@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.experiments.reproduction import (
     guivant,
     misono,
@@ -53,5 +53,7 @@ def chosen(names: tuple[str, ...]) -> tuple[AnyFigure, ...]:
     strange = [name for name in names if name.casefold() not in known | {"all"}]
     if strange:
         there = ", ".join(figure.name for figure in FIGURES)
-        raise InputError(f"figure '{strange[0]}' is unknown, expected all or some of {there}")
+        raise InputError(
+            f"figure '{shorten(strange[0])}' is unknown, expected all or some of {there}"
+        )
     return tuple(f for f in FIGURES if "all" in wanted or f.name.casefold() in wanted)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from comparisons.config import Section
-from comparisons.errors import InputError, naming
+from comparisons.errors import InputError, naming, shorten
 from comparisons.logs.table import read_toml
 
 _FOLDER = Path(__file__).parent
@@ -151,7 +151,8 @@ def read_scenario(name: str) -> Scenario:
     if not path.is_file():
         if name not in bundled_scenarios():
             raise InputError(
-                f"scenario '{name}' is neither a file nor one of {', '.join(bundled_scenarios())}"
+                f"scenario '{shorten(name, 200)}' is neither a file nor one of "
+                f"{', '.join(bundled_scenarios())}"
             )
         path = _FOLDER / f"{name}.toml"
     found = read_toml(path)

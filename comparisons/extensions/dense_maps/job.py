@@ -12,6 +12,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.check import Answers
 from comparisons.checks.registry import CHECKS
 from comparisons.config import MapConfig
+from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, classic_grid
 from comparisons.logs.log import Log
@@ -84,7 +85,10 @@ def map_log(
     setup = prepared.beside_filter()
     watcher = setup.find(DenseWatcher)
     if watcher is None:
-        raise ValueError("no dense map among the extensions")
+        raise InputError(
+            "the configuration has no section extensions.dense_maps, expected one; add it, or "
+            "--layer occupancy"
+        )
     classic = classic_grid(watcher.options)
     watcher.feed(classic)
     with prepared.clock.stage("filter and map"):

@@ -114,7 +114,7 @@ class FastSlamExtension(Extension):
         return run_fastslam(slam, log, timeline if epochs is None else timeline.prefix(epochs))
 
 
-_AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
+_AGREES = {True: "agree", False: "disagree", None: "no verdict: too few particles"}
 
 
 class FastSlamFinding(Finding):
@@ -224,7 +224,7 @@ def _line(own: FastSlamResult) -> str:
     count = "1 stretch" if len(own.stretches) == 1 else f"{len(own.stretches)} stretches"
     over = f"over {count} of {own.length_s:.1f} s"
     if own.agrees is None:
-        return f"no verdict {over}: the clouds are too small"
+        return f"no verdict {over}: too few particles"
     if own.agrees and own.exact is not None:
         return f"agrees with the exact posterior, not with its Gaussian ({count})"
     return f"{own.verdict}s with the smoother {over} (p {own.p:.4f})"
@@ -235,14 +235,14 @@ def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
     if own.middle < LEAST_ANCESTORS * own.particles:
         depleted = [
             f"over the whole log FastSLAM is depleted: {own.middle} of {own.particles} particles "
-            "at its middle epoch have descendants; that its trajectory on the map is "
-            f"{own.path_m:.2f} m (RMS) from the smoother's says nothing against either"
+            "at its middle epoch have descendants; so the difference of its trajectory from the "
+            f"smoother's, {own.path_m:.2f} m (RMS), is evidence against neither"
         ]
     if check.agrees is None:
         return [
-            f"FastSLAM gives no verdict: clouds of {own.particles} particles are too small; they "
-            f"know a last pose like {check.independent:.2g} independent particles, after stretches "
-            f"of {own.length_s:.1f} s; more particles may",
+            f"FastSLAM gives no verdict: of clouds of {own.particles} particles, "
+            f"{check.independent:.2g} are independent after stretches of {own.length_s:.1f} s; "
+            "take more particles",
             *depleted,
         ]
     found, worst = [], check.worst

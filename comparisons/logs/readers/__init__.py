@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.log import Log
 
 
@@ -34,7 +34,7 @@ class Reader(NamedTuple):
         """
         if topics and not self.topics:
             raise InputError(
-                f"{path}: is not a ROS bag, so --topic {topics[0]} names nothing in it"
+                f"{path}: is not a ROS bag, so --topic {shorten(topics[0])} names nothing in it"
             )
         read = import_module(self.module).read
         more = (robot,) * self.robots + (topics,) * self.topics
@@ -94,7 +94,9 @@ def read_log(
         if format_name is None:
             raise InputError(f"{path}: {_not_recognised(path)}")
     if format_name not in READERS:
-        raise InputError(f"format '{format_name}' is unknown, expected {', '.join(READERS)}")
+        raise InputError(
+            f"format '{shorten(format_name)}' is unknown, expected {', '.join(READERS)}"
+        )
     try:
         return READERS[format_name].read(path, robot, topics)
     except InputError as error:

@@ -12,6 +12,7 @@ The heading walks off by 0.028 to 0.036 rad per root second, most of it in turns
 from __future__ import annotations
 
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
-from comparisons.logs.stamps import since
+from comparisons.logs.stamps import seconds_after
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers, within
 
@@ -56,18 +57,21 @@ def read(path: Path, robot: int) -> Log:
     for table in (odometry, measured, captured, surveyed, barcodes):
         if not len(table):
             raise InputError(f"{table.path}: holds no records")
-    start = float(odometry["time"][0])
+    start = odometry.decimals("time")[0]
     with odometry.locating():
         motion = VelocityOdometry(
-            since(odometry["time"], start), odometry["v"], odometry["omega"], _NOISE
+            seconds_after(odometry.decimals("time"), start),
+            odometry["v"],
+            odometry["omega"],
+            _NOISE,
         )
     motion = replace(motion, time_s=motion.time_s + _ODOMETRY_LEAD_S)
     with captured.locating():
         pose = np.column_stack((captured.data[:, 1:3], np.unwrap(captured["heading"])))
-        truth = Poses(since(captured["time"], start), pose)
+        truth = Poses(seconds_after(captured.decimals("time"), start), pose)
     subject_of = dict(zip(barcodes["barcode"].tolist(), barcodes["subject"].tolist(), strict=True))
     subject = np.array([subject_of.get(code, 0.0) for code in measured["barcode"].tolist()])
-    early = measured["time"] < start
+    early = measured["time"] < odometry["time"][0]
     with measured.locating():
         everything = _measurements(measured, start, subject)
     kept = (subject > _ROBOTS) & ~early
@@ -105,8 +109,9 @@ def read(path: Path, robot: int) -> Log:
     )
 
 
-def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMeasurements:
+def _measurements(measured: Table, start: Decimal, landmark: Array) -> LandmarkMeasurements:
     """All records as recorded, robots included, so that a fault is reported by its line."""
     within("measurements", "bearing_rad", measured["bearing"], -1.5, 1.5)
-    time_s, ids = since(measured["time"], start), whole_numbers("measurements", "subject", landmark)
+    ids = whole_numbers("measurements", "subject", landmark)
+    time_s = seconds_after(measured.decimals("time"), start)
     return LandmarkMeasurements.of(time_s, measured.data[:, 2:], (1.0, _SIGMA_BEARING_RAD), ids)

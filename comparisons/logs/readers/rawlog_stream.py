@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from comparisons.archive import most_unpacked
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, shorten
 from comparisons.logs.readers.ros_messages import of_quaternion
-from comparisons.logs.table import reading, shorten
+from comparisons.logs.table import reading
 from comparisons.logs.validation import LARGEST
 
 MOST_BYTES = 2**28

@@ -15,8 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from comparisons.errors import InputError, check_regular, printable
-from comparisons.logs.table import shorten
+from comparisons.errors import InputError, check_regular, printable, shorten
 
 _MAGICS = {b"\x89MCAP0\r\n": "ros2", b"#ROSBAG V": "ros1", b"SQLite format 3\0": "ros2"}
 _METADATA = "metadata.yaml"
@@ -54,14 +53,20 @@ class Bag:
     ) -> None:
         """reader: one of the package's, open. decode: from bytes and a type's name to a message.
 
-        types: those that can be decoded. chosen: names of topics that a user asked for. Raises
-        InputError where the bag has none of such a name.
+        types: those that can be decoded. chosen: names of topics that a user asked for.
         """
         self.path, self._reader, self._decode = path, reader, decode
         self._types, self._chosen = types, chosen
+
+    def check_chosen(self, kinds: tuple[str, ...]) -> None:
+        """Raise InputError unless the bag has each topic that was chosen, of one of the types.
+
+        No two may be of the same type.
+        """
+        path, chosen = self.path, self._chosen
         if not chosen:
             return
-        known = {str(c.topic): str(c.msgtype) for c in reader.connections}
+        known = self.kinds()
         for name in chosen:
             if name not in known:
                 reported = ", ".join(f"{one} ({kind})" for one, kind in sorted(known.items()))
@@ -70,9 +75,9 @@ class Bag:
                 )
         for name in chosen:
             same = [one for one in chosen if known[one] == known[name]]
-            if len(same) > 1 or known[name] not in READ:
+            if len(same) > 1 or known[name] not in kinds:
                 what = "is of the same type" if len(same) > 1 else f"is of type {known[name]}"
-                wanted = "one of each" if len(same) > 1 else f"one of {', '.join(READ)}"
+                wanted = "one of each" if len(same) > 1 else f"one of {', '.join(kinds)}"
                 raise InputError(f"{path}: topic {same[-1]} {what}, expected {wanted}")
 
     def knows(self, kind: str) -> bool:
@@ -83,11 +88,30 @@ class Bag:
         """Whether a user asked for this topic by its name."""
         return topic.name in self._chosen
 
-    def topics(self, kind: str) -> list[Topic]:
-        """Topics of a type such as `sensor_msgs/msg/LaserScan`, the one to read first.
+    def topic(self, kind: str) -> Topic | None:
+        """The topic of a type that is to be read: the one chosen, else the only one; None for none.
 
-        That is the one chosen, else the one with most messages. Topics without messages are left
-        out; equal ones stand by name.
+        Raises InputError where there are several and none of them is chosen: nothing in a bag says
+        which of them a vehicle's odometry is, and which an estimate.
+        """
+        topics = self.topics(kind)
+        if len(topics) > 1 and not self.is_chosen(topics[0]):
+            names = ", ".join(f"{topic.name} ({topic.count} messages)" for topic in topics)
+            raise InputError(
+                f"{self.path}: {len(topics)} topics of type {kind}: {shorten(names, 2000)}; "
+                "expected one, say which by --topic NAME"
+            )
+        return topics[0] if topics else None
+
+    def kinds(self) -> dict[str, str]:
+        """Types of all topics by name, those without messages, too."""
+        return {str(c.topic): str(c.msgtype) for c in self._reader.connections}
+
+    def topics(self, kind: str) -> list[Topic]:
+        """Topics of a type such as `sensor_msgs/msg/LaserScan`, the one that was chosen first.
+
+        Topics without messages are left out; those with most messages stand first, equal ones by
+        name.
         """
         found: dict[str, list[Any]] = {}
         try:
@@ -139,10 +163,12 @@ def recognise_bag(path: Path) -> str | None:
 
 
 @contextmanager
-def open_bag(path: Path, topics: tuple[str, ...] = ()) -> Iterator[Bag]:
+def open_bag(
+    path: Path, topics: tuple[str, ...] = (), kinds: tuple[str, ...] = READ
+) -> Iterator[Bag]:
     """Open a bag. Raises InputError for what is no bag, and where the extra is not installed.
 
-    topics: names of those that a user asked for.
+    topics: names of those that a user asked for. kinds: the types that they may be of.
     """
     try:
         from rosbags.rosbag1 import Reader as Reader1
@@ -171,7 +197,9 @@ def open_bag(path: Path, topics: tuple[str, ...] = ()) -> Iterator[Bag]:
     except Exception as error:  # the package and what it builds on fail in many ways
         raise InputError(f"{path}: not a readable ROS bag ({_cause(error)})") from None
     try:
-        yield Bag(path, reader, decode, store.types, topics)
+        bag = Bag(path, reader, decode, store.types, topics)
+        bag.check_chosen(kinds)
+        yield bag
     finally:
         reader.close()
 

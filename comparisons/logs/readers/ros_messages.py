@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
-from comparisons.logs.table import shorten
+from comparisons.errors import InputError, shorten
 from comparisons.logs.validation import LARGEST
 
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -98,9 +97,8 @@ def cloud(message: Any, place: str) -> tuple[Array, Array]:
     return xyz, _seconds(raw, stamp_ns(message) * 1e-9, f"{place}: field {name}")
 
 
-def planar_pose(message: Any, place: str) -> Array:
-    """(3,) x, y [m], heading [rad] of an Odometry's pose; height and tilt are dropped."""
-    pose = message.pose.pose
+def planar_pose(pose: Any, place: str) -> Array:
+    """(3,) x, y [m], heading [rad] of a Pose; height and tilt are dropped."""
     rotation = _rotation(pose.orientation, place)
     heading = np.arctan2(rotation[1, 0], rotation[0, 0])
     return np.array([*_vector(pose.position, place)[:2], heading])

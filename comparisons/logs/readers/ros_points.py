@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
-from comparisons.logs.odometry_noise import LARGEST_VARIANCE
+from comparisons.errors import InputError, shorten
+from comparisons.logs.odometry_noise import LARGEST_VARIANCE, Unusable
 from comparisons.logs.readers.ros_messages import frame, planar_pose
 from comparisons.logs.validation import LARGEST
 
@@ -18,10 +18,11 @@ SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.1, float(np.deg2rad(1.0))
 """Stated of points whose message has no covariance."""
 SIGMA_FIX_M = 3.0
 """Stated of fixes without a covariance."""
-_LEAST_VARIANCE = 1e-6
-"""A fix is not better than 1 mm: drivers write less, and zero, for what they do not know."""
+LEAST_VARIANCE = 1e-6
+"""No fix or point is better than 1 mm: drivers write less, and zero, for what is not known."""
 _ADD, _SOLID = 0, (1, 2, 3)
-_PLANAR = [0, 1, 5]
+PLANAR = [0, 1, 5]
+_SLOTS = ("z", "roll", "pitch")
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,10 @@ class Points:
 def markers(message: Any, place: str) -> Points | None:
     """A MarkerArray's cubes, spheres and cylinders, named by name space and number."""
     found = [m for m in message.markers if int(m.action) == _ADD and int(m.type) in _SOLID]
-    for one in found:
-        if frame(one.header.frame_id) != frame(found[0].header.frame_id):
-            raise InputError(
-                f"{place}: frames are {found[0].header.frame_id} and {one.header.frame_id}, "
-                "expected one"
-            )
+    frames = list(dict.fromkeys(frame(m.header.frame_id) for m in found))
+    if len(frames) > 1:
+        names = " and ".join(map(shorten, frames[:2]))
+        raise InputError(f"{place}: frames are {names}, expected one")
     points = [_point(m.pose.position) for m in found]
     label = [f"{m.ns}/{m.id}" if m.ns else str(m.id) for m in found]
     return _points(points, [np.full((3, 3), np.nan)] * len(found), label, [""] * len(found), place)
@@ -118,6 +117,8 @@ def range_bearing(points: Points, place: Array) -> tuple[Array, Array]:
     variance = np.einsum("ijp,pjk,ikp->pi", slope, planar, slope)
     with np.errstate(invalid="ignore"):
         known = ((variance > 1e-14) & (variance < LARGEST_VARIANCE)).all(axis=1)
+    least = np.linalg.eigvalsh(np.where(np.isfinite(planar), planar, 0.0))[:, 0]
+    known &= least > 0.999 * LEAST_VARIANCE
     sigma = np.sqrt(np.where(known[:, None], variance, np.nan))
     return np.column_stack((distance, np.arctan2(y, x))), sigma
 
@@ -135,17 +136,48 @@ def fix(message: Any, place: str) -> Array | None:
     reported = int(message.position_covariance_type) > 0 and np.isfinite(covariance).all()
     if (
         not reported
-        or not _LEAST_VARIANCE <= np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2
+        or not LEAST_VARIANCE <= np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2
     ):
         covariance = np.full((2, 2), np.nan)
     return np.concatenate((values, ((covariance + covariance.T) / 2).ravel()))
 
 
 def moved(message: Any, place: str) -> Array:
-    """(15,) of an Odometry: pose (3), variances of vx, vy and yaw rate, covariance of the pose."""
-    twist = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6).diagonal()[_PLANAR]
-    pose = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
-    return np.concatenate((planar_pose(message, place), twist, pose.ravel()))
+    """(75,) of an Odometry: pose (3), and the covariances (6, 6) of twist and pose as they are."""
+    twist, pose = message.twist.covariance, message.pose.covariance
+    return np.concatenate((planar_pose(message.pose.pose, place), twist, pose), dtype=float)
+
+
+def planar_rows(rows: Array) -> tuple[Array, Unusable]:
+    """Return rows (M, 75) of `moved` as (M, 15) for `reckoned_motion`, and what is not usable."""
+    twist, pose = (rows[:, begin : begin + 36].reshape(-1, 6, 6) for begin in (3, 39))
+    variances = np.diagonal(twist, axis1=1, axis2=2)[:, PLANAR]
+    block = pose[:, PLANAR][:, :, PLANAR]
+    planar = np.column_stack((rows[:, :3], variances, block.reshape(-1, 9)))
+    return planar, Unusable(slots_fault(pose), slots_fault(twist))
+
+
+def slots_fault(covariance: Array) -> str:
+    """Return why covariances (M, 6, 6) of ROS are none of a motion in the plane, else nothing.
+
+    Their slots are x, y, z, roll, pitch and yaw.
+    """
+    if not np.isfinite(covariance).all():
+        return "are not finite"
+    turned = covariance.transpose(0, 2, 1)
+    scale = np.maximum(np.abs(covariance), np.abs(turned))
+    with np.errstate(over="ignore"):
+        skew = np.abs(covariance - turned) > 1e-6 * scale
+    if skew.any():
+        _, row, column = np.argwhere(skew)[0].tolist()
+        return (
+            f"are not symmetric (slots {6 * row + column} and {6 * column + row} differ), "
+            "expected rows of 6 for x, y, z, roll, pitch and yaw"
+        )
+    if covariance.any() and not covariance[:, PLANAR][:, :, PLANAR].any():
+        names = [name for name, k in zip(_SLOTS, (2, 3, 4), strict=True) if covariance[:, k].any()]
+        return f"stand in slots of {' and '.join(names)} alone, which no planar pose has"
+    return ""
 
 
 def labels_of(messages: list[Points]) -> tuple[list[str], NDArray[np.intp]]:

@@ -3,8 +3,8 @@
 LaserScan messages become scans, PointCloud2 messages clouds, detections and markers measurements,
 fixes positions, and the poses of Odometry messages one displacement from each of their times to the
 next. Poses rather than velocities, since every driver fills them in, in a known frame. Of several
-topics of one type the one that was asked for is read, else the one with the most messages. Markers
-are read only when asked for, since most are drawings. Times are the headers', or the recording's
+topics of one type the one that was asked for is read; where none was, they are refused. Markers are
+read only when asked for, since most are drawings. Times are the headers', or the recording's
 where all headers of a topic say zero.
 
 A sensor's place comes from `/tf_static`, seen from the frame that the odometry moves; where it is
@@ -23,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, naming
+from comparisons.errors import InputError, naming, printable
 from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
 from comparisons.logs.odometry_noise import reckoned_motion
 from comparisons.logs.readers import ros_bag, ros_points
+from comparisons.logs.readers.beams import BeamGrid
 from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
 from comparisons.logs.readers.ros_messages import Sweep, cloud, frame, rigid_motion, stamp_ns, sweep
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
@@ -36,9 +37,29 @@ from comparisons.logs.scans import Clouds, Mount, Scans
 
 _BASES = ("base_link", "base_footprint")
 _MOST_POINTS = 50_000_000
-_ANGLE_TOLERANCE_RAD = 1e-3
 _LEVEL = np.cos(np.deg2rad(5.0))
-_LEAST_SIGMA = 1e-3
+_OF_ODOMETRY = {
+    "measurements": (ros_bag.BOXES, ros_bag.MARKERS, ros_bag.IMAGE_BOXES),
+    "positions": (ros_bag.FIX,),
+}
+"""Types of streams that mean nothing without odometry."""
+_MOST_LISTED = 10
+_SPOKEN = {
+    "Odometry": "odometry",
+    "LaserScan": "scans",
+    "PointCloud2": "clouds",
+    "Detection3DArray": "measurements",
+    "Detection2DArray": "measurements",
+    "MarkerArray": "measurements",
+    "NavSatFix": "positions",
+    "topics not read": "topics not read",
+    "left_out": "left out",
+    "odometry_noise": "odometry's noise",
+    "measurements_noise": "measurements' noise",
+    "measurements": "measurements",
+    "positions": "positions",
+}
+"""Keys of a log's provenance in the order in which they are told, and what they are of."""
 
 Times = NDArray[np.int64]
 _T = TypeVar("_T")
@@ -74,21 +95,30 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
     """
     with ros_bag.open_bag(path, topics) as bag:
         provenance = {"file": path.name}
+        moves = bag.topic(ros_bag.ODOMETRY) is not None
+        for kind in (
+            ros_bag.LASER,
+            ros_bag.CLOUD,
+            *((ros_bag.FIX, ros_bag.BOXES) if moves else ()),
+        ):
+            bag.topic(kind)  # before the long work
         read = {
             "scans": _scan_stream(bag, provenance),
             "clouds": _cloud_stream(bag, provenance),
-            "measurements": _point_stream(bag, provenance),
-            "positions": _stream(bag, ros_bag.FIX, ros_points.fix, provenance),
         }
+        if moves:
+            read["measurements"] = _point_stream(bag, provenance)
+            read["positions"] = _stream(bag, ros_bag.FIX, ros_points.fix, provenance)
+        else:  # nothing says where the vehicle was
+            for name, kinds in _OF_ODOMETRY.items():
+                if any(map(bag.topics, kinds)):
+                    provenance[name] = f"left out: no messages of type {ros_bag.ODOMETRY}"
         moved = _stream(
             bag, ros_bag.ODOMETRY, ros_points.moved, provenance, lambda m: m.child_frame_id
         )
+        _list_unread(bag, provenance)
         transforms = _static_transforms(bag)
     found = {name: stream for name, stream in read.items() if stream is not None}
-    if moved is None:  # nothing says where the vehicle was
-        for name in ("measurements", "positions"):
-            if found.pop(name, None) is not None:
-                provenance[name] = f"left out: no messages of type {ros_bag.ODOMETRY}"
     if not found.keys() - {"positions"}:
         raise InputError(
             f"{path}: no messages of type {ros_bag.LASER} or {ros_bag.CLOUD}, nor, with odometry, "
@@ -101,6 +131,18 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
         where = _Frame(start, base, transforms, provenance)
         _check_placed(kept, where, topics)
         return _log(path, kept, where, _Drive(moved, time_s))
+
+
+def streams_of(log: Log) -> list[str]:
+    """Return what a log was read from, a line for each stream: topic, count, and what is left out.
+
+    log: of `read`.
+    """
+    return [
+        f"{stream}: {log.provenance[key]}"
+        for key, stream in _SPOKEN.items()
+        if key in log.provenance
+    ]
 
 
 def _instants(
@@ -122,13 +164,32 @@ def _instants(
         both = np.concatenate((instants, moved.time_ns))
         instants = np.unique(both[np.isin(np.concatenate((wanted, sampled)), reported)])
     start = int(instants[0])
-    outside = sum(len(s.items) for s in found.values()) - sum(len(s.items) for s in kept.values())
     provenance |= {
         "time_origin_s": f"{start // 10**9}.{start % 10**9:09d}",
-        "left_out": f"{outside} records outside the odometry",
+        "left_out": _outside(found, kept),
     }
     time_s = np.asarray((instants - start) / 1e9, dtype=np.float64)
     return kept, start, time_s
+
+
+def _outside(found: dict[str, _Stream], kept: dict[str, _Stream]) -> str:
+    """How many records of each stream lie before or after the odometry."""
+    whole = {name: len(stream.items) for name, stream in found.items()}
+    cut = {
+        name: count - (len(kept[name].items) if name in kept else 0)
+        for name, count in whole.items()
+    }
+    of_each = ", ".join(f"{n} of {whole[name]} {name}" for name, n in cut.items() if n)
+    return f"{sum(cut.values())} records outside the odometry" + (of_each and f" ({of_each})")
+
+
+def _list_unread(bag: ros_bag.Bag, provenance: dict[str, str]) -> None:
+    """Name the topics of types that are not read, besides transforms."""
+    known = (ros_bag.TRANSFORMS, *(kind for kind in ros_bag.READ if _key(kind) in provenance))
+    names = [f"{name} ({kind})" for name, kind in sorted(bag.kinds().items()) if kind not in known]
+    if names:
+        more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+        provenance["topics not read"] = printable(", ".join(names[:_MOST_LISTED]) + more)
 
 
 def _check_placed(kept: dict[str, _Stream], where: _Frame, topics: tuple[str, ...]) -> None:
@@ -193,7 +254,8 @@ class _Drive:
             none = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
             return none, "no odometry"
         sample_s = (self.moved.time_ns - start) / 1e9
-        return reckoned_motion(self.time_s, sample_s, np.array(self.moved.items))
+        rows, unusable = ros_points.planar_rows(np.array(self.moved.items))
+        return reckoned_motion(self.time_s, sample_s, rows, unusable)
 
 
 def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> Log:
@@ -281,6 +343,11 @@ def _positions(
     return Prior(0.0, prior.pose, prior.covariance + laid.covariance), laid.positions
 
 
+def _key(kind: str) -> str:
+    """Of a type in a log's provenance."""
+    return kind.rpartition("/")[2]
+
+
 def _stream(
     bag: ros_bag.Bag,
     kind: str,
@@ -292,11 +359,10 @@ def _stream(
 
     convert: None for a message that holds nothing.
     """
-    topics = bag.topics(kind)
-    if not topics:
+    topic = bag.topic(kind)
+    if topic is None:
         return None
-    topic = topics[0]
-    others = ", ".join(f"{t.name} ({t.count})" for t in topics[1:10])
+    others = ", ".join(f"{t.name} ({t.count})" for t in bag.topics(kind)[1:10])
     reported = f"{topic.name}, {topic.count} messages" + (f"; not read: {others}" if others else "")
     items, stamps, recorded, frames = [], [], [], []
     empty = 0
@@ -314,7 +380,7 @@ def _stream(
                 f"{place}: frame is {frames[-1]}, expected {frames[0]} as in the first"
             )
     reported += f"; {empty} that are empty" if empty else ""
-    provenance[kind.rsplit("/", 1)[1]] = reported
+    provenance[_key(kind)] = reported
     if not items:
         return None
     if not any(stamps):
@@ -331,7 +397,7 @@ def _stream(
     fresh = [0, *(row for row, step in enumerate(steps, start=1) if step)]
     if len(fresh) < len(items):
         reported += f"; {len(items) - len(fresh)} with a repeated time left out"
-    provenance[kind.rsplit("/", 1)[1]] = reported
+    provenance[_key(kind)] = reported
     return _Stream(
         topic,
         np.array([stamps[row] for row in fresh], dtype=np.int64),
@@ -341,25 +407,48 @@ def _stream(
 
 
 def _scan_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:
-    """LaserScan messages, whose beams must not change."""
-    first: list[Sweep] = []
+    """LaserScan messages, whose beams are those of the widest, or some of them in a row."""
+    grids: list[BeamGrid] = []
+    before: list[Array] = []
 
     def convert(message: Any, place: str) -> Sweep:
         found = sweep(message, place)
-        if not first:
-            first.append(found)
-        angle, expected = found.angle_rad, first[0].angle_rad
-        ends = (0, -1)
-        if len(angle) != len(expected) or any(
-            abs(angle[i] - expected[i]) > _ANGLE_TOLERANCE_RAD for i in ends
-        ):
+        angle = found.angle_rad
+        if not grids:
+            grids.append(BeamGrid(angle))
+        if not grids[0].take(angle):
+            expected = grids[0].angle_rad
             raise InputError(
                 f"{place}: {len(angle)} beams from {angle[0]:.4g} to {angle[-1]:.4g} rad, expected "
-                f"{len(expected)} from {expected[0]:.4g} to {expected[-1]:.4g} as in the first"
+                f"{len(expected)} from {expected[0]:.4g} to {expected[-1]:.4g} as in the first, or "
+                "some of them in a row"
             )
-        return replace(found, angle_rad=expected)  # one array for all of them: bags are long
+        same = next((one for one in before if len(one) == len(angle)), None)
+        if same is None:
+            before.append(angle)
+        return found if same is None else replace(found, angle_rad=same)  # bags are long
 
-    return _stream(bag, ros_bag.LASER, convert, provenance)
+    stream = _stream(bag, ros_bag.LASER, convert, provenance)
+    if stream is None:
+        return None
+    words = grids[0].words([len(one.angle_rad) for one in stream.items])
+    if words:
+        provenance[_key(ros_bag.LASER)] += f"; {words}"
+    items = [_filled(grids[0], one) for one in stream.items]
+    return replace(stream, items=items)
+
+
+def _filled(grid: BeamGrid, found: Sweep) -> Sweep:
+    """A sweep with all beams of the grid."""
+    if len(found.angle_rad) == len(grid.angle_rad):
+        return found
+    angle = found.angle_rad
+    return replace(
+        found,
+        angle_rad=grid.angle_rad,
+        range_m=grid.filled(angle, found.range_m),
+        intensity=grid.filled(angle, found.intensity, 0.0),
+    )
 
 
 def _point_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 
 from comparisons.arrays import Array
 from comparisons.checks.pair_of_estimates import EstimateComparison
-from comparisons.errors import InputError
+from comparisons.errors import InputError, quoted
 from comparisons.estimates.estimate import Estimate
 from comparisons.jobs.check import ExternalCheck
 from comparisons.jobs.run import Comparison
@@ -84,7 +84,9 @@ def plot_errors(
         InputError: There is no such component, or neither truth nor a smoother to compare with.
     """
     if component not in COMPONENTS:
-        raise InputError(f"component {component!r} is unknown, expected {', '.join(COMPONENTS)}")
+        raise InputError(
+            f"component {quoted(component)} is unknown, expected {', '.join(COMPONENTS)}"
+        )
     errors, _ = errors_and_nees(result)
     if not errors:
         raise InputError("the log has no true poses, and no smoother uses the same measurements")

@@ -12,8 +12,8 @@
     try {
       const path = decodeURIComponent(location.pathname).replace(/^\/(?=[A-Za-z]:\/)/, '');
       const folder = path.slice(0, path.lastIndexOf('/') + 1);
-      code.textContent = `slamcheck ${again.dataset.job} ${quoted(`${folder}config.toml`)}`;
-      again.querySelector('.where').hidden = true;
+      code.textContent = `slamcheck ${again.dataset.job} ${quoted(`${folder}config.toml`)}${again.dataset.more}`;
+      again.querySelector('.where').hidden = !again.dataset.more;
     } catch { /* a path that is not UTF-8: the command stays as it stands */ }
   }
   const chosen = () => {

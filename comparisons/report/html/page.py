@@ -5,7 +5,6 @@ What a section needs is loaded where the page has it: an audit's page knows noth
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.shell import again, document, figures, picture, prose, script, table
 from comparisons.report.marks import EVENT, Panel
-from comparisons.words import SETTINGS, SPENT, Row, cause_name
+from comparisons.words import SETTINGS, SPENT, Row, cause_name, facts
 
 if TYPE_CHECKING:
     from comparisons.report.html.map import MapContent
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
 _ROW = "; click a landmark to find its row"
 _TIME = "Point at a time to see it on all curves and on the map. "
-_FACT = re.compile(r"; (?![^(]*\))")
-"""Between the facts of a cause's evidence; not within brackets."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,9 +229,9 @@ def _cause(cause: Cause, *, led: bool) -> str:
             f"<p>{escape(known.check)}</p></details>"
         )
     hint = "" if led else f'<p class="hint">{prose(cause.hint)}</p>'
-    facts = _FACT.split(cause.evidence)
-    shown = "".join(f"<li>{prose(fact)}</li>" for fact in facts)
-    found = f"<ul>{shown}</ul>" if facts[1:] else f"<p>{prose(cause.evidence)}</p>"
+    every = facts(cause.evidence)
+    shown = "".join(f"<li>{prose(fact)}</li>" for fact in every)
+    found = f"<ul>{shown}</ul>" if every[1:] else f"<p>{prose(cause.evidence)}</p>"
     return f'<div class="cause"><h3>{title}</h3>{hint}{found}{more}</div>'
 
 

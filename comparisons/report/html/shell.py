@@ -6,6 +6,7 @@ import base64
 import hashlib
 import math
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -92,13 +93,25 @@ _KINDS = {True: "good", False: "bad", None: ""}
 _MARKS = {True: "in", False: "out", None: ""}
 
 
-def again(job: str) -> str:
-    """The command that makes the folder's result again, and a button that copies it."""
+def again(
+    job: str,
+    *,
+    file: str = "config.toml",
+    options: Sequence[str] = (),
+    place: str = "in the folder of this page",
+) -> str:
+    """The command that makes the folder's result again, and a button that copies it.
+
+    file: with its settings, quoted. options: behind it. place: where the command is to be given,
+    in words; with options also where the page knows the path of the file.
+    """
+    more = f" {shlex.join(options)}" if options else ""
     return (
-        f'<div id="again" data-job="{escape(job)}"><p class="note">The command that runs this '
-        f'again<span class="where">, in the folder of this page</span>:</p><p><code tabindex="0">'
-        f'slamcheck {escape(job)} config.toml</code> <button type="button" hidden>Copy</button> '
-        '<span role="status" class="note"></span></p></div>'
+        f'<div id="again" data-job="{escape(job)}" data-more="{escape(more)}"><p class="note">'
+        f'The command that runs this again<span class="where">, {escape(place)}</span>:</p><p>'
+        f'<code tabindex="0">slamcheck {escape(job)} {escape(file)}{escape(more)}</code> '
+        '<button type="button" hidden>Copy</button> <span role="status" class="note"></span></p>'
+        "</div>"
     )
 
 

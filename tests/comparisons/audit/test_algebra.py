@@ -148,7 +148,7 @@ def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
     check = handed_in(c, tmp_path)
     cause = present(check.trace).verdict.causes[0]
     assert cause.gap == "algebra"
-    assert "a snapshot of the covariance, recorded after each event" in cause.hint
+    assert "record a snapshot after each event" in cause.hint
 
 
 BLOCKS, DIMS = ("place", "speed", "bias"), (2, 1, 1)
@@ -225,7 +225,7 @@ DONE_WRONG: dict[str, tuple[Event, Callable[[Array], Array]]] = {
         MEASURE,
         lambda p: alone(updated(p)),
     ),
-    "0.02 was then added to the covariance's diagonal": (
+    "0.02 was added to the covariance's diagonal": (
         MEASURE,
         lambda p: updated(p) + 0.02 * np.eye(4),
     ),
@@ -298,10 +298,15 @@ def test_an_events_own_fault_goes_first_and_a_slight_one_last() -> None:
 
 
 def test_a_correction_is_compared_without_a_gain() -> None:
+    """By the covariance: without one, a filter may use any gain."""
     right = gain_of(P)[0] @ MEASURE.residual
     for correction, gains, said in ((None, 0, []), (right, 1, []), (2.0 * right, 1, ["twice"])):
-        check = checked(MEASURE._replace(correction=correction))
+        update = MEASURE._replace(correction=correction)
+        check = checked(update)
         assert check.gains == gains
+        assert check.faults() == ()
+        assert check.optimal == (not said)
+        check = checked(update, snapshot(3, updated(P)))
         assert [text.split()[-1] for text in check.faults()] == said
 
 

@@ -83,7 +83,7 @@ def test_an_error_that_is_known_is_no_part_of_the_next_innovation() -> None:
     [
         ("gain", (0.5, 0.5, 1.0, *[1.0 + 1e-5] * 3), ""),  # beside half, 1e-5 is not named
         ("correction", (2.0, 2.0, *[1.0] * 4), "twice"),
-        ("correction", (2.0, 3.0, *[1.0] * 4), "by other than"),
+        ("correction", (2.0, 3.0, *[1.0] * 4), "is not gain x residual"),
     ],
 )
 def test_the_block_is_named_of_which_gain_or_correction_is_wrong(

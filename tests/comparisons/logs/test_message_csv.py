@@ -164,6 +164,9 @@ def test_yaw_rates_of_an_imu(tmp_path: Path) -> None:
     mean = 0.2 - 0.1 * (np.cos(start + STEP_S) - np.cos(start)) / STEP_S
     assert np.allclose(log.odometry.yaw_rate_radps, mean, atol=1e-5)
     assert "yaw_rate_radps from 'imu.csv, mean of each sample'" in log.provenance["odometry file"]
+    (tmp_path / "imu.csv").write_text(ros2((), rows[6:]))  # 0.06 s later, of twice 0.01 s allowed
+    later = read(tmp_path, drive, WHEELS, imu=tmp_path / "imu.csv")
+    assert len(later.odometry.time_s) == COUNT - 1
     (tmp_path / "imu.csv").write_text(ros2((), rows[:100]))
     with pytest.raises(
         InputError, match=r"imu.csv: from .* s, expected yaw rates for the odometry"

@@ -47,15 +47,22 @@ def test_laser_scans_with_odometry(kind: str, tmp_path: Path) -> None:
     expected = (0.5 * np.cos(0.1), -0.5 * np.sin(0.1), 0.25)
     assert np.allclose(log.odometry.displacement[0], expected)
     assert log.provenance["Odometry"] == "/odom, 4 messages; 1 with a repeated time left out"
-    assert log.provenance["left_out"] == "1 records outside the odometry"
+    assert log.provenance["left_out"] == "1 records outside the odometry (1 of 4 scans)"
     assert log.provenance["scans_mount"] == "laser seen from base"
     assert_survives_a_folder(log, tmp_path / "again")
 
 
-def test_the_topic_with_the_most_messages_is_read(tmp_path: Path) -> None:
+def test_of_several_topics_one_is_asked_for(tmp_path: Path) -> None:
     few = [("/a", *T.laser(t)[1:]) for t in (1.0, 2.0)]
     many = [("/b", *T.laser(t)[1:]) for t in (1.0, 2.0, 3.0)]
-    log = read_log(T.write(tmp_path / "bag", few + many))
+    path = T.write(tmp_path / "bag", few + many)
+    with pytest.raises(
+        InputError,
+        match=r"2 topics of type sensor_msgs/msg/LaserScan: /b \(3 messages\), /a \(2 messages\); "
+        "expected one, say which by --topic NAME",
+    ):
+        read_log(path)
+    log = read_log(path, topics=("/b",))
     assert log.provenance["LaserScan"] == "/b, 3 messages; not read: /a (2)"
     assert log.scans is not None
     assert not len(log.odometry.time_s)
@@ -133,7 +140,9 @@ def test_scans_and_clouds_share_the_poses(tmp_path: Path) -> None:
     log = read_log(T.write(tmp_path / "bag", messages))
     assert np.allclose(log.odometry.time_s, (0.25, 0.4, 0.8))
     assert np.allclose(present(log.clouds).time_s, 0.4)
-    assert log.provenance["left_out"] == "2 records outside the odometry"
+    assert (
+        log.provenance["left_out"] == "2 records outside the odometry (1 of 4 scans, 1 of 2 clouds)"
+    )
 
 
 def room(pose: np.ndarray, angle: np.ndarray, beam_s: float) -> np.ndarray:

@@ -1,6 +1,9 @@
 """Filters of the user's in a study: a callable or a command, judged as ours are."""
 
+import html
 import json
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -272,7 +275,9 @@ def test_a_configuration_runs_no_command(
     command = program(COPY + f"\nPath({str(mark)!r}).touch()")
     works(*study(scenario, out, "--command", command), cwd=tmp_path)
     mark.unlink()
-    texts = [path.read_text() for path in out.glob("*.*") if path.suffix != ".png"]
+    read = [path for path in out.glob("*.*") if path.suffix not in (".png", ".html")]
+    texts = [path.read_text() for path in read]
+    assert len(texts) == 3
     assert not any(str(mark) in text or command in text for text in texts)
     again = ("montecarlo", "out/config.toml", "--out", "again")
     said = refused(*again, cwd=tmp_path)
@@ -281,6 +286,31 @@ def test_a_configuration_runs_no_command(
     works(*again, "--command", command, cwd=tmp_path)
     for name in ("montecarlo.json", "runs.csv", "config.toml"):
         assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def again(page: Path) -> list[str]:
+    """The command that a page says runs it again."""
+    shown = re.search(r'<code tabindex="0">(.*?)</code>', page.read_text())
+    return shlex.split(html.unescape(present(shown)[1]))
+
+
+@pytest.mark.slow
+def test_the_page_has_a_verdict_and_a_command_that_runs(
+    scenario: Path, program: Callable[[str], str], tmp_path: Path
+) -> None:
+    """In the folder in which it was started; without its commands it is refused."""
+    command = program(COPY)
+    given = (f"it={command}", "--timeout", "99")
+    works(*study(scenario, tmp_path / "it's out", "--command", *given), cwd=tmp_path)
+    page = tmp_path / "it's out" / "report.html"
+    assert re.search(r'<span class="verdict (agree|disagree|unverified)">NEES: ', page.read_text())
+    name, *words = again(page)
+    assert name == "slamcheck"
+    assert words[-4:] == ["--command", *given]
+    kept = (tmp_path / "it's out" / "montecarlo.json").read_bytes()
+    works(*words, "--out", "again", cwd=tmp_path)
+    assert (tmp_path / "again" / "montecarlo.json").read_bytes() == kept
+    assert "give --command" in refused(*words[:-4], cwd=tmp_path)
 
 
 def rows(estimate: Estimate, which: slice) -> Estimate:

@@ -14,8 +14,8 @@ PLANAR = (
     *("comparisons.pipeline", "graphslam.problem", "graphslam.smoother"),
 )
 """Beginnings of what knows a planar log, a filter or a smoother of it."""
-OF_ANY = ("", ".check", ".finding", ".of_events")
-"""Of the checks: what one is, and those of events."""
+OF_ANY = ("", ".causes", ".check", ".finding", ".of_events")
+"""Of the checks: what one is, what each kind of cause decides, and those of events."""
 _LIST = """
 import sys
 HOUSE = ("comparisons", "ekf_reference", "graphslam", "slamcheck")

@@ -268,8 +268,8 @@ UNSOUND = [
     (PREDICT, "noise", np.full(9, 1e300), f"noise (Q) {NOT_A_NUMBER}"),
     (PREDICT, "noise", np.diag([1.0, 1.0, -1e-6]), "noise (Q) has a negative eigenvalue"),
     (PREDICT, "noise", P + F, "noise (Q) is not symmetric"),
-    (UPDATE, "noise", np.diag([1.0, 0.0]), "noise (R) is not positive definite"),
-    (UPDATE, "noise", np.ones((2, 2)), "noise (R) is not positive definite"),
+    (UPDATE, "noise", np.diag([1.0, -1.0]), "noise (R) has a negative eigenvalue"),
+    (UPDATE, "noise", np.ones((2, 2)) - np.eye(2), "noise (R) has a negative eigenvalue"),
     (AUGMENT, "noise", np.diag([-1.0, 1.0]), "noise (R) has a negative eigenvalue"),
     (AUGMENT, "noise", np.full(4, np.nan), f"noise (R) {NOT_A_NUMBER}"),
 ]
@@ -283,6 +283,15 @@ def test_a_noise_that_is_no_covariance_is_kept_with_its_fault(
     read = Trace(trace)
     assert len(list(read)) == 11
     assert read.unsound == {number: said}
+    assert read.singular == {}
+
+
+@pytest.mark.parametrize("value", [np.diag([1.0, 0.0]), np.ones((2, 2)), np.zeros((2, 2))])
+def test_a_noise_of_a_perfect_measurement_is_singular(trace: Path, value: Array) -> None:
+    edit(trace, UPDATE, "noise", value.tobytes())
+    read = Trace(trace)
+    assert len(list(read)) == 11
+    assert (read.unsound, read.singular) == ({}, {UPDATE: "noise (R) is singular"})
 
 
 SET = "UPDATE event SET "
@@ -632,7 +641,7 @@ def test_definiteness_is_that_of_the_eigenvalues(definite: bool) -> None:
 def test_known_entries_have_no_variance() -> None:
     nothing = np.zeros((1, 3, 3))
     assert faults(nothing, definite=False) == []
-    assert faults(nothing, definite=True) == [(0, "is not positive definite")]
+    assert faults(nothing, definite=True) == [(0, "is singular")]
     half = nothing.copy()
     half[0, :2, :2] = 1.0
     assert faults(half, definite=False) == []
@@ -677,7 +686,7 @@ def test_all_of_several_faults_are_named(tmp_path: Path) -> None:
     read = Trace(path)
     assert len(list(read)) == 501
     negative = "noise (Q) has a negative eigenvalue"
-    unsound = {303: negative, 310: negative, 500: "noise (R) is not positive definite"}
+    unsound = {303: negative, 310: negative, 500: "noise (R) has a negative eigenvalue"}
     assert read.unsound == unsound
     edit(path, 302, "jacobian", b"")
     assert refused(path) == ", event 302: jacobian has 0 numbers, expected 1 x 1"

@@ -1,0 +1,51 @@
+"""Whether another noise of one sensor, and nothing else, explains an optimum's residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from comparisons.statistics import WORDS
+from graphslam.goodness_of_fit import Goodness, rescaled
+from graphslam.optimum import ChiSquareTest
+from graphslam.smoother import SmootherResult
+from graphslam.variance_components import Component
+
+NAMES = {"position": "positions", "pose landmark": "pose landmarks", "loop closure": "closures"}
+"""Of components, where reports call them otherwise."""
+
+
+class OtherNoise(NamedTuple):
+    """A sensor's noise with which everything fits. test: of the whole with it."""
+
+    component: Component
+    test: ChiSquareTest
+
+    @property
+    def sensor(self) -> str:
+        """What reports call it."""
+        return NAMES.get(self.component.name, self.component.name)
+
+
+def other_noises(result: SmootherResult, components: Sequence[Component]) -> list[OtherNoise]:
+    """Return those sensors that explain the residuals alone, by a noise of another size.
+
+    With it the whole lies in its band, that sensor's residuals have about one per degree of
+    freedom, and all residuals are alike over time, landmarks and sensors.
+
+    components: of the result's residuals. Those whose noise is the stated one, or that were not
+    found, explain nothing.
+    """
+    stated = Goodness(result.problem, result.graph, result.values)
+    explaining = []
+    for component in components:
+        low, high = component.interval(WORDS)
+        if not component.settled or low <= 1.0 <= high:
+            continue
+        try:
+            goodness = rescaled(stated, component.name, component.factor)
+        except RuntimeError:
+            continue
+        if goodness.sound:
+            explaining.append(OtherNoise(component, goodness.test))
+    return explaining
