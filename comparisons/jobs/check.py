@@ -280,7 +280,7 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
     consistency, beside = known.value(ConsistencyFinding), known.remarks
     if found.reproduced and consistency is not None and consistency.remarks:
         beside = [one for one in beside if one not in consistency.remarks]
-        beside.append("what is outside its band (consistency) follows from the fault above")
+        found = replace(found, consequences=(*found.consequences, "consistency"))
     judged = qualified(
         replace(verdict, remarks=(*found.remarks, *beside)),
         known.value(TruthGapFinding),
