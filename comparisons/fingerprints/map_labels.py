@@ -29,6 +29,9 @@ _MOST_UNCLEAR = 0.1
 _PLAUSIBLE = 0.999
 """Share of right associations whose optimum, and whose pair of landmarks, is within its band."""
 
+_NEIGHBOURS = 4
+"""A landmark, and those nearest to it that it is compared with."""
+
 
 class MapLabels(NamedTuple):
     """label: (M,) ids of the estimate, further ones where it has none, or NO_LANDMARK.
@@ -69,11 +72,14 @@ def plausible(optimum: Optimality, estimate: Estimate) -> bool:
     fit = optimum.chi_square
     if not optimum.verified or fit.chi2 > chi2_quantile(_PLAUSIBLE, fit.dof):
         return False
-    place, rows = estimate.landmark, np.arange(len(estimate.landmark))
-    p = estimate.joint_covariance[3:, 3:].reshape(len(rows), 2, len(rows), 2).transpose(0, 2, 1, 3)
-    own = p[rows, rows]
-    first, second = np.triu_indices(len(rows), 1)
-    across = p[first, second]
+    place, count = estimate.landmark, len(estimate.landmark)
+    if count < 2:
+        return True
+    near = _neighbours(place, place, min(_NEIGHBOURS, count))[1][:, 1:]
+    first, second = np.repeat(np.arange(count), near.shape[1]), near.ravel()
+    points = slice(3, 3 + place.size)
+    p = estimate.joint_covariance[points, points].reshape(count, 2, count, 2).swapaxes(1, 2)
+    own, across = p[np.arange(count), np.arange(count)], p[first, second]
     spread = own[first] + own[second] - across - across.transpose(0, 2, 1)
     off = place[first] - place[second]
     squared = np.einsum("ki,ki->k", off, np.linalg.solve(spread, off[:, :, None])[:, :, 0])
@@ -90,12 +96,19 @@ def _nearest(given: ExternalEstimate, seen: LandmarkMeasurements) -> Index | Non
     pose, r = given.pose[at], seen.range_m
     along = pose[:, 2] + seen.bearing_rad
     place = pose[:, :2] + r[:, None] * np.column_stack((np.cos(along), np.sin(along)))
-    apart = np.linalg.norm(place[:, None] - given.landmark, axis=2)
-    order = np.argsort(apart, axis=1)[:, :2]
-    first, second = np.take_along_axis(apart, order, axis=1).T
+    apart, order = _neighbours(given.landmark, place, 2)
+    first, second = apart.T
     clear = (first < _CLEARLY * second) & (first < _MOST_SIGMA * _sigma(given, seen, at, order))
     found: Index = np.where(clear, order[:, 0], -1)
     return found
+
+
+def _neighbours(places: Array, of: Array, count: int) -> tuple[Array, Index]:
+    """Distances (M, count) from points (M, 2) to the nearest places, and which these are."""
+    from scipy.spatial import cKDTree
+
+    distance, row = cKDTree(places).query(of, k=count)
+    return distance, row
 
 
 def _sigma(given: ExternalEstimate, seen: LandmarkMeasurements, at: Index, order: Index) -> Array:
