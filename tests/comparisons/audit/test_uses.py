@@ -49,7 +49,7 @@ class Drive:
                 p = F @ p @ F.T + Q
                 record.predict(F, Q)
                 if before:
-                    error, p = self._fuse(record, "wheel", error, p, error * 0.0, (R, {}, 1.0))
+                    error, p = self._fuse(record, "wheel", error, p, error * 0.0, (R, 1.0, 1.0))
                 noise = np.sqrt(np.diag(R)) * rng.standard_normal(2)
                 if outliers and step % 10 == 5:
                     noise = np.array([5.0, 5.0])

@@ -54,7 +54,7 @@ def test_bag(tmp_path: Path) -> None:
 
 def test_rawlog_counts_add_up(tmp_path: Path) -> None:
     """Of 12 scans 4 are of another scanner: they are counted as left out."""
-    here, aside = np.ones(5), np.ones(5)
+    here, aside = 5 * [1.0], 5 * [1.0]
     parts = []
     for k in range(8):
         parts.append(frame(sweep(here, label="front"), *[sweep(aside, label="rear")] * (k % 2)))
