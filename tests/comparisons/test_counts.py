@@ -20,7 +20,7 @@ from comparisons.report.sections import ekf_result
 from comparisons.trace.reader import Trace
 from ekf_reference.core.landmark_types import POINT
 from tests.comparisons.audit.toy_filter import Toy
-from tests.helpers import altered, compared, first_seconds, simulated, without_labels
+from tests.helpers import altered, compared, first_seconds, present, simulated, without_labels
 
 
 def assert_adds_up(whole: int, parts: Mapping[str, int]) -> None:
@@ -34,7 +34,7 @@ def test_measurements_of_a_run(association: str) -> None:
     log = simulated(3, loop_s=30.0)
     if association != "known":
         log = without_labels(log)
-    found = compared(log, ekf=EkfConfig(association=association)).ekf  # type: ignore[arg-type]
+    found = compared(log, ekf=EkfConfig(association=association)).ekf
     used = {
         "initialised": len(found.trace.initialisations[POINT].number),
         "fused": len(found.trace.measurements[POINT].number),
@@ -48,24 +48,22 @@ def test_measurements_of_a_run(association: str) -> None:
 def test_positions_of_a_run() -> None:
     """Some lie far off, so that the gate rejects them."""
     log, choices = open_case("positions", seed=4)
-    assert log.positions is not None
-    moved = (
-        log.positions.position_m
-        + np.where(np.arange(len(log.positions.time_s)) % 7 == 3, 40.0, 0.0)[:, None]
-    )
+    fixes = present(log.positions)
+    far = np.arange(len(fixes.time_s)) % 7 == 3
+    moved = fixes.position_m + 40.0 * far[:, None]
     log = altered(log, "positions.position_m", moved)
     run = compared(log, ekf=choices).ekf
     result = ekf_result(run, choices)
     assert result.fixes_rejected > 0
     parts = {"fused": result.fixes_fused, "rejected": result.fixes_rejected}
-    assert_adds_up(len(log.positions.time_s), parts)
+    assert_adds_up(len(fixes.time_s), parts)
 
 
 def test_measurements_of_the_smoother() -> None:
     """Residuals and unknowns are the degrees of freedom, without what a kernel rejected."""
     log = simulated(3, loop_s=30.0)
     for robust in ("none", "gnc"):
-        config = SolveConfig(smoother=SmootherConfig(robust=robust))  # type: ignore[arg-type]
+        config = SolveConfig(smoother=SmootherConfig(robust=robust))
         result = solve(log, config).result
         problem, lost = result.problem, result.rejected
         measurements = len(log.measurements.time_s) - len(lost.measurements)
