@@ -110,7 +110,7 @@ def test_returns_of_a_map(changes: dict[str, object]) -> None:
     printed = [int(rows[f"returns {name}"].replace(",", "")) for name in returns.parts()]
     assert sum(printed) == int(rows["returns"].replace(",", ""))
     line = dict(report.summary().lines)["returns"]
-    assert line.startswith(f"{returns.returns:,}: {returns.fused:,} fused into regions at once")
+    assert line.startswith(f"{returns.returns:,}: {returns.fused:,} fused at once")
 
 
 def test_events_of_an_audit(tmp_path: Path) -> None:

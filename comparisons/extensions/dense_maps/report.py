@@ -78,11 +78,11 @@ class ReturnsResult(Tally):
     def parts(self) -> dict[str, int]:
         """Return all returns by what became of them, each of which is counted once."""
         return {
-            "fused into regions at once": self.fused,
-            "fused into regions after a delay": self.late,
+            "fused at once": self.fused,
+            "fused after a delay": self.late,
             "outside all regions": self.outside,
-            "waiting for a region at the end": self.waiting,
-            "lost from the buffer, or with a landmark": self.lost,
+            "waiting at the end": self.waiting,
+            "lost while waiting": self.lost,
         }
 
 
