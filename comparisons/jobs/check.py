@@ -20,6 +20,7 @@ from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.checks.diagnosis.alignment import laid_at_start
 from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
@@ -260,6 +261,7 @@ def check(
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
     given = with_removed(given.numbered_as(log.labels), log)
+    given, aligned = job.aligned(given)
     job, found = job.clocked(given)
     job = replace(job, log=_selected(job.log, found))
     unsound = given.trace is not None and given.trace.unsound
@@ -270,6 +272,8 @@ def check(
     instants_s = found.solution.prepared.timeline.instants_s()
     if said := rounded(given.time_s, on_file_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
+    if aligned:
+        found = replace(found, remarks=(aligned, *found.remarks))
     return _qualified(replace(found, log=log))
 
 
@@ -311,6 +315,13 @@ class _Job:
     def own(self) -> Solution:
         """The smoother's, by the log's own integration."""
         return self.solver(self.log, self.config, self.progress)
+
+    def aligned(self, given: ExternalEstimate) -> tuple[ExternalEstimate, str]:
+        """The estimate in the log's frame where that is asked for, and how it was moved."""
+        if not self.config.log.align:
+            return given, ""
+        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
+        return laid_at_start(given, on_log_clock(given, self.log, instants_s).time_s, self.log)
 
     def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
