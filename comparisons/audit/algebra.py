@@ -282,7 +282,6 @@ class AlgebraCheck:
         unlike = check_gain(event, fused, sigma, layout, self.tolerance)
         if unlike:
             self.unlike += 1
-            self._growth(event, before, fused)
             self.note_precision(event.number, event.gain, event.correction)
             if event.gain is None:
                 self._open[event.number] = event
@@ -295,6 +294,8 @@ class AlgebraCheck:
             )
             kind = one.kind if what == one.what and one.kind else what
             self._pending.append((finding, kind))
+        if unlike:
+            self._growth(event, before, fused)
 
     def _growth(self, event: Update, before: Array, fused: Fused) -> None:
         """Name a gain by which an update makes the estimate less certain. before: P before it.
