@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
@@ -19,6 +20,7 @@ from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.checks.diagnosis.alignment import laid_at_start
 from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
@@ -80,7 +82,7 @@ from comparisons.fingerprints.estimate_motion import (
     integrations_by_steps,
     integrations_of,
 )
-from comparisons.fingerprints.map_labels import map_labels
+from comparisons.fingerprints.map_labels import map_labels, plausible
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
@@ -113,6 +115,9 @@ if TYPE_CHECKING:
 
 _HOPELESS_SIGMA = 30.0
 """So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
+
+_EXACT_SHARE = 0.2
+"""Share of one measurement's sigmas below which a start is exact."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -256,6 +261,7 @@ def check(
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
     given = with_removed(given.numbered_as(log.labels), log)
+    given, aligned = job.aligned(given)
     job, found = job.clocked(given)
     job = replace(job, log=_selected(job.log, found))
     unsound = given.trace is not None and given.trace.unsound
@@ -266,6 +272,8 @@ def check(
     instants_s = found.solution.prepared.timeline.instants_s()
     if said := rounded(given.time_s, on_file_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
+    if aligned:
+        found = replace(found, remarks=(aligned, *found.remarks))
     return _qualified(replace(found, log=log))
 
 
@@ -307,6 +315,13 @@ class _Job:
     def own(self) -> Solution:
         """The smoother's, by the log's own integration."""
         return self.solver(self.log, self.config, self.progress)
+
+    def aligned(self, given: ExternalEstimate) -> tuple[ExternalEstimate, str]:
+        """The estimate in the log's frame where that is asked for, and how it was moved."""
+        if not self.config.log.align:
+            return given, ""
+        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
+        return laid_at_start(given, on_log_clock(given, self.log, instants_s).time_s, self.log)
 
     def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
@@ -410,8 +425,10 @@ class _Job:
         if implied is None:
             return None
         log = labelled_as(solution.log, implied.label)
-        given = with_removed(first.given, log)
-        again = self._graded(given, self.solver(log, self.config, self.progress))
+        other = self.solver(log, self.config, self.progress)
+        if not plausible(other.result.optimality, other.estimate):
+            return None
+        again = self._graded(with_removed(first.given, log), other)
         found = again if again.outcome == "agree" else self.selected(again)
         return found and _saying(implied.said(), found)
 
@@ -521,8 +538,8 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
     if first.exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
     if first.whole:  # the same poses, landmarks and covariances, so all that differs from sound
-        follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
         others = tuple(_following(one) for one in others)
+        follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
     causes = (fault_cause(known, sound), *others)
     return replace(found, causes=causes, consequences=follow, reproduced=first.whole)
 
@@ -537,15 +554,18 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
     """Say that an estimate differs from a sound one by a setting that changes nothing in the end.
 
     "" for what is no setting of the filter's start and noise, and where it changes the last pose or
-    the map, or the trace differs from the models in more.
+    the map, or the trace differs from the models in more. Where both starts are exact beside what
+    one measurement tells, covariances may differ, which they make those of another frame.
     """
-    if not (known.whole and is_setting(known.fault)) or sound.missing or sound.unmapped:
+    alone = known.whole and not known.several and is_setting(known.fault)
+    if not alone or sound.missing or sound.unmapped:
         return ""
     if found.trace is not None and not _of_settings(found.trace):
         return ""
     poses, *others = sound.parts
     last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
-    if not all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in (last, *others)):
+    variance = np.inf if _both_exact(found) else LIKE_VARIANCE
+    if not all(part.within(LIKE_SIGMA, variance) for part in (last, *others)):
         return ""
     ends = replace(sound, parts=(last, *others))
     low, high = ends.variances or (1.0, 1.0)
@@ -554,6 +574,20 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
         f"({known.sigma:.1g} sigma); without it the last pose and the map differ by at most "
         f"{ends.sigma:.2g} sigma, and by variances of {low:.3g} to {high:.3g} times"
     )
+
+
+def _both_exact(found: ExternalCheck) -> bool:
+    """Whether the log's start and the estimate's are exact beside what one measurement tells."""
+    log, given = found.solution.log, found.inside
+    start = None if found.given.trace is None else found.given.trace.trace.prior_covariance
+    if start is None and given.pose_covariance is not None:
+        start = given.pose_covariance[0] if given.time_s[0] <= log.prior.time_s + CLOCK_S else None
+    seen = log.measurements
+    if start is None or not len(seen.time_s):
+        return False
+    place, turn = seen.sigma_range_m.min(), seen.sigma_bearing_rad.min()
+    limit = (_EXACT_SHARE * np.array((place, place, turn))) ** 2
+    return bool((np.diag(start) <= limit).all() and (np.diag(log.prior.covariance) <= limit).all())
 
 
 def _of_settings(traced: TraceCheck) -> bool:
