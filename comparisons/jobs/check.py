@@ -796,8 +796,8 @@ def _traced(
     """
     own = _by_equations(grade, traced, inside, labelled=solution.prepared.labelled)
     if own is not grade and first is not None and first.unmapped and _associated(solution):
-        causes = tuple(one for one in causes if one.gap in ("association", "map", "coverage"))
-        own = grade
+        of_map = [one for one in causes if one.gap in ("association", "map", "coverage")]
+        return by_trace(grade, traced), (*of_map, *_with_trace((), traced.verdict.causes))
     return by_trace(own, traced), _with_trace(causes, traced.verdict.causes)
 
 

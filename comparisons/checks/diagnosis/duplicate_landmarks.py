@@ -177,6 +177,15 @@ def _beginning(log: Log, run: EkfRun, first: int, second: int) -> Beginning | No
     if not float(short @ np.linalg.solve(spread, short)) <= _FITS:
         return None
     bearing_rad = float(seen.bearing_rad[number])
-    # Of bearings in (-pi, pi], whatever turn the filter's own heading is on.
-    whole = bearing_rad - float(wrap_angle(predicted.z[0, 1])) - short[1]
-    return Beginning(number, bearing_rad, int(np.round(whole / (2.0 * np.pi))))
+    arrived = run.trace.arrived[step - 1] if step else run.trace.prior_pose
+    turns = (
+        _turns(bearing_rad, float(RangeBearing().predict(pose, mean[None, 3:]).z[0, 1]))
+        for pose in (arrived, mean[:3])  # where it was associated, before or after an update
+    )
+    return Beginning(number, bearing_rad, next((whole for whole in turns if whole), 0))
+
+
+def _turns(measured_rad: float, expected_rad: float) -> int:
+    """By how many whole turns bearings in (-pi, pi] differ."""
+    apart = measured_rad - float(wrap_angle(expected_rad))
+    return int(np.round((apart - float(wrap_angle(apart))) / (2.0 * np.pi)))
