@@ -187,5 +187,5 @@ def _beginning(log: Log, run: EkfRun, first: int, second: int) -> Beginning | No
 
 def _turns(measured_rad: float, expected_rad: float) -> int:
     """By how many whole turns bearings in (-pi, pi] differ."""
-    apart = measured_rad - float(wrap_angle(expected_rad))
-    return int(np.round((apart - float(wrap_angle(apart))) / (2.0 * np.pi)))
+    difference = np.array(measured_rad) - wrap_angle(np.array(expected_rad))
+    return int(np.round((difference - wrap_angle(difference)) / (2.0 * np.pi)))
