@@ -36,6 +36,7 @@ from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log as ProjectLog
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.solve import solve
 from slamcheck import Recorder
 
@@ -45,7 +46,7 @@ GATE = {0.95: 5.991464547107979, 0.99: 9.21034037197618, 0.997: 11.6182859806280
 """Chi-square quantiles of two degrees of freedom, from a table."""
 NEAR, NEAR_M = 25.0, 0.5
 """Without labels: innovation squared, and distance, within which a landmark is the same."""
-VAST_M = 1e4
+VAST_M = 1e3
 """Sigma of a landmark of which nothing is known."""
 
 
@@ -60,10 +61,10 @@ class Design:
     innovation squared. told: rejected measurements are recorded. delayed: a landmark is initialised
     by its first measurement at a clone of the pose, once there is a second. prune: landmarks with
     fewer measurements are removed, at the end or (forget_s) once they were not measured for so
-    long. prior: factor of the start's covariance. rounds: of the iterated update. single: float32.
-    two_inputs: no stabilisation noise. vast: new landmarks have a large covariance, then are
-    updated. composed: one prediction from measurement to measurement. new_first: landmarks are
-    initialised before the others are updated.
+    long. prior: factor of the start's variances of position. rounds: of the iterated update.
+    single: float32. two_inputs: on a log without stabilisation noise. vast: new landmarks have a
+    large covariance, then are updated. composed: one prediction from measurement to measurement.
+    new_first: landmarks are initialised before the others are updated.
     """
 
     update: Literal["joint", "landmark", "scalar", "entries"] = "joint"
@@ -90,8 +91,8 @@ class Design:
 
     @property
     def setting(self) -> bool:
-        """Whether it starts, or pads Q, otherwise than the log says."""
-        return self.prior != 1.0 or self.two_inputs
+        """Whether it starts otherwise than the log says."""
+        return self.prior != 1.0
 
 
 MRCLAM = Path(__file__).resolve().parents[2] / "shared/data/mrclam/MRCLAM_Dataset6"
@@ -154,7 +155,8 @@ class Filter:
         self.p = np.zeros((3, 3), self.dtype)
         v = self.at["pose"]
         self.x[v] = prior["pose"]
-        self.p[np.ix_(v, v)] = design.prior * np.array(prior["covariance"])
+        scale = np.sqrt([design.prior, design.prior, 1.0])
+        self.p[np.ix_(v, v)] = np.outer(scale, scale) * np.array(prior["covariance"])
         self.first: dict[str, int] = {}
         self.uses: dict[str, int] = {}
         self.last_s: dict[str, float] = {}
@@ -227,7 +229,7 @@ class Filter:
         f[:2, 2] = -d * s, d * c
         if self.broken == "sign":
             f[:2, 2] *= -1.0
-        q = b @ m @ b.T + (0.0 if self.design.two_inputs else dt) * rates
+        q = b @ m @ b.T + dt * rates
         return pose + [d * c, d * s, dt * rate], f, q
 
     def predict(self, number: int, dt: float, end_s: float) -> None:
@@ -600,10 +602,19 @@ landmark without cross-covariance."""
 
 
 def unlabelled(log: ProjectLog) -> ProjectLog:
-    """Take the labels away."""
-    seen = log.measurements
+    """Take the labels away, and two landmarks of three, so that none are near each other."""
+    seen = log.measurements.chosen(log.measurements.landmark % 3 == 0)
     nothing = np.full(len(seen.landmark), -1, dtype=np.int64)
     return replace(log, measurements=replace(seen, landmark=nothing))
+
+
+def of_two_inputs(log: ProjectLog) -> ProjectLog:
+    """Take the stabilisation noise away, where the two inputs have a noise of their own."""
+    moved = log.odometry
+    if isinstance(moved, RelativePoses) or not moved.noise.sigma_turn:
+        return log
+    noise = replace(moved.noise, variance_rate_position=0.0, variance_rate_heading=0.0)
+    return replace(log, odometry=replace(moved, noise=noise))
 
 
 def rovers(seed: int) -> ProjectLog:
@@ -689,8 +700,11 @@ def results(
         log, solver = LOGS[name](seed), solved_once()
         with tempfile.TemporaryDirectory() as place:
             write_log_folder(log, Path(place) / "log")
-            data, log = read_log(Path(place) / "log"), read_log_folder(Path(place) / "log")
+            write_log_folder(of_two_inputs(log), Path(place) / "bare")
+            folders = [Path(place) / one for one in ("log", "bare")]
+            logs = [(read_log(one), read_log_folder(one)) for one in folders]
             for form in forms:
+                data, log = logs[FORMS[form].two_inputs]
                 for error in broken:
                     run = Filter(FORMS[form], data, error).run()
                     for traced in (False, True):

@@ -11,10 +11,14 @@ from comparisons.logs.log import Log
 from graphslam.scan import planar
 
 _STEP_S = 0.1
+_SIGMA_POSITION_M = 0.1
 
 
-def drive(seed: int, kind: str, count: int = 400) -> Log:
-    """A vehicle that winds among posts, as a log of one kind of odometry, by that one's model."""
+def drive(seed: int, kind: str, count: int = 400, fixes: int = 0) -> Log:
+    """A vehicle that winds among posts, as a log of one kind of odometry, by that one's model.
+
+    fixes: samples from one absolute position to the next; none for 0.
+    """
     rng = np.random.default_rng(seed)
     time_s = _STEP_S * np.arange(count)
     speed = rng.uniform(0.7, 1.5) + 0.2 * np.sin(2 * np.pi * time_s / rng.uniform(7.0, 20.0))
@@ -55,7 +59,14 @@ def drive(seed: int, kind: str, count: int = 400) -> Log:
         steps += rng.normal(0.0, (0.006, 0.006, 0.003), steps.shape)
         path = np.array(list(accumulate(steps, planar.compose, initial=np.zeros(3))))
         moved = dict(zip(("x_m", "y_m", "heading_rad"), path.T, strict=True))
-    return Log.from_arrays({"time_s": time_s, **moved, **sigmas}, seen, name=f"{kind} {seed}")
+    positions = None
+    if fixes:
+        every = np.arange(fixes, count, fixes)
+        place = pose[every, :2] + rng.normal(0.0, _SIGMA_POSITION_M, (len(every), 2))
+        x, y = place.T
+        positions = {"time_s": time_s[every], "x_m": x, "y_m": y, "sigma_m": _SIGMA_POSITION_M}
+    odometry = {"time_s": time_s, **moved, **sigmas}
+    return Log.from_arrays(odometry, seen, positions=positions, name=f"{kind} {seed}")
 
 
 def travelled(step: Array, turned: Array, share: float) -> Array:

@@ -32,7 +32,7 @@ from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
 Gps = Literal["off", "on", "half"]
 RequiredGrade = Literal["equal", "like", "plausible"]
-FailOn = Literal["disagreement", "consistency", "both", "truth", "association"]
+FailOn = Literal["disagreement", "consistency", "both", "truth", "association", "positions"]
 Needs = Mapping[str, Mapping[str, Any]]
 """Extensions that must take part, with the fields that they must have."""
 
@@ -533,7 +533,8 @@ class RunConfig(Configured):
         (),
         "Findings that exit with 1. disagreement: always does; consistency: NEES, "
         "NIS or filter against smoother outside their bands; both: these two; truth: the smoother "
-        "is far from the truth; association: no check of the association was possible",
+        "is far from the truth; association: no check of the association was possible; positions: "
+        "those that nobody has used contradict the optimum, which always does",
         Option(
             "--fail-on",
             JOB,

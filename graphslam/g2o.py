@@ -14,11 +14,15 @@ order: those of the file that a problem was read from, unless it had gaps.
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import math
-from collections.abc import Container, Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +78,18 @@ _ISAM = ("ODOMETRY", "LANDMARK")
 """Tags of iSAM alone, whose landmarks are numbered apart from the poses."""
 _SPATIAL = ("SE3", "XYZ", "VERTEX3", "EDGE3")
 _LARGEST_ID = 2**53
+_MOST_CHARACTERS = 1_000_000_000
 _TORO = [0, 1, 4, 2, 5, 3]
 """Where xx, xy, xh, yy, yh, hh stand in what TORO writes: xx, xy, yy, hh, xh, yh."""
+_ORDERS = {
+    3: {
+        "xx yy hh xy xh yh (diagonal first)": [0, 3, 4, 1, 5, 2],
+        "xx xy yy xh yh hh (lower triangle)": [0, 1, 3, 2, 4, 5],
+        "xx xy yy hh xh yh (TORO)": _TORO,
+    },
+    2: {"xx yy xy (diagonal first)": [0, 2, 1]},
+}
+"""Other orders of information, and where the entries of the upper triangle stand in each."""
 _SINGULAR = 1e-13
 """Least eigenvalue of a definite matrix whose diagonal is near one."""
 
@@ -336,8 +350,37 @@ def _vertices(edges: tuple[Index, Index, Array], covariance: Array, poses: Array
     )
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[Iterator[str]]:
+    """Lines of a file, unpacked where its suffix says so. Raises ValueError for a damaged one."""
+    try:
+        with _text_of(path) as file:
+            yield _bounded(path, file)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise ValueError(f"{path}: damaged gzip or bzip2 file ({error})") from None
+
+
+def _text_of(path: Path) -> IO[str]:
+    suffix = path.suffix.lower()
+    if suffix == ".gz":
+        return gzip.open(path, "rt", encoding="utf-8", errors="replace")
+    if suffix == ".bz2":
+        return bz2.open(path, "rt", encoding="utf-8", errors="replace")
+    return path.open(encoding="utf-8", errors="replace")
+
+
+def _bounded(path: Path, file: Iterable[str]) -> Iterator[str]:
+    """Lines up to what a graph may hold: a packed file may have no end."""
+    total = 0
+    for text in file:
+        total += len(text)
+        if total > _MOST_CHARACTERS:
+            raise ValueError(f"{path}: more than {_MOST_CHARACTERS:,} characters, expected fewer")
+        yield text
+
+
 def _records(path: Path) -> Iterator[_Record]:
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with _opened(path) as file:
         for line, text in enumerate(file, start=1):
             front, _, behind = text.partition("#")
             words = front.split()
@@ -476,12 +519,32 @@ def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size:
     inverse, regular = inverses(matrix)
     for row in np.flatnonzero(~regular)[:1].tolist():
         what = "covariance" if exact[row] else "information"
+        bare = [record for record in records if not record.exact]
         raise ValueError(
             f"{path}:{records[row].line}: {records[row].written}: the {what} is singular or not "
-            "positive definite"
+            f"positive definite{'' if exact[row] else _other_order(bare, size)}"
         )
     matrix[~exact] = 0.5 * (inverse + inverse.transpose(0, 2, 1))[~exact]
     return matrix
+
+
+def _other_order(records: Sequence[_Record], size: int) -> str:
+    """Name the orders of their entries in which all informations are positive definite, if any."""
+    if any(record.written in ("EDGE2", *_ISAM) for record in records):
+        return ""  # these have orders of their own
+    triangles = _behind(records, size)
+    fitting = [
+        name
+        for name, order in _ORDERS[size].items()
+        if inverses(_symmetric(triangles[:, order], size))[1].all()
+    ]
+    if not fitting:
+        return ""
+    usual = {3: "xx xy xh yy yh hh", 2: "xx xy yy"}[size]
+    return (
+        f"; read as {' or as '.join(fitting)}, all {len(records)} of these lines are positive "
+        f"definite: write the upper triangle by rows ({usual})"
+    )
 
 
 def inverses(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -161,8 +161,9 @@ def _comparable(earlier: Update, event: Update) -> bool:
         return False
     if earlier.weight + event.weight <= 1.0 + _MARGIN:
         return False
-    numbers = earlier.numbers, event.numbers
-    return numbers[0] is None or numbers[1] is None or np.array_equal(*numbers)
+    if earlier.numbers is None or event.numbers is None:
+        return True
+    return np.array_equal(earlier.numbers, event.numbers)
 
 
 def _is_numbered(earlier: Update, event: Update) -> bool:

@@ -21,6 +21,7 @@ from comparisons.checks.consistency.consistency import Consistency, inconsistenc
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.consistency.nees import TruthConsistency, limit
 from comparisons.checks.finding import Absent, Of
+from comparisons.checks.unused_positions import UnusedPositions
 from comparisons.checks.verdict import Verdict
 from comparisons.config import FailOn
 from comparisons.figures import Aside, Figure, Key, LeftOut, Less
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
 
 TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
+CONTRADICTED = "positions contradict"
 INCONSISTENT = "filter inconsistent"
 WORSE = 2.0
 """So many times the error with labels is a mistake of the association."""
@@ -226,6 +228,15 @@ def measurement_scale(seen: LandmarkMeasurements, places: Array) -> float:
     return float(np.median(np.sqrt(np.trace(places, axis1=1, axis2=2)))) if len(places) else 0.0
 
 
+def against_optimum(gap: TruthGap | None, unused: UnusedPositions | None) -> dict[str, Cause]:
+    """Return what speaks against the smoother's optimum, by the qualifier's name."""
+    causes = {
+        TRUTH_GAP: None if gap is None else gap.cause,
+        CONTRADICTED: None if unused is None else unused.cause,
+    }
+    return {name: one for name, one in causes.items() if one is not None}
+
+
 def qualified(
     verdict: Verdict,
     gap: TruthGap | None,
@@ -233,28 +244,36 @@ def qualified(
     unchecked: str,
     consistency: Consistency | None,
     fail_on: Sequence[FailOn],
+    unused: UnusedPositions | None = None,
 ) -> Verdict:
-    """Return the verdict with its qualifiers, and with what it fails on of `fail_on`.
+    """Return the verdict with its qualifiers, and with what it fails on.
 
-    unchecked: why nobody has checked the association; empty where somebody has, or need not.
+    That is what `fail_on` names, and positions that contradict the optimum. unchecked: why nobody
+    has checked the association; empty where somebody has, or need not. unused: positions that no
+    estimator has used.
     """
-    far = None if gap is None else gap.cause
+    against = against_optimum(gap, unused)
     outside = None if consistency is None else inconsistencies(consistency)
     rough = [_rough(gap)] if gap is not None and gap.rough else []
-    found = {TRUTH_GAP: far is not None, UNCHECKED: bool(unchecked), INCONSISTENT: bool(outside)}
+    found = {
+        **dict.fromkeys(against, True),
+        UNCHECKED: bool(unchecked),
+        INCONSISTENT: bool(outside),
+    }
     of: dict[FailOn, bool] = {
         "disagreement": verdict.outcome == "disagree",
         "consistency": found[INCONSISTENT],
-        "truth": found[TRUTH_GAP],
+        "truth": TRUTH_GAP in against,
         "association": found[UNCHECKED],
+        "positions": CONTRADICTED in against,
     }
     return replace(
         verdict,
-        causes=verdict.causes if far is None else (*verdict.causes, far),
+        causes=(*verdict.causes, *against.values()),
         remarks=(*verdict.remarks, *rough, *filter(None, [unchecked])),
         qualifiers=tuple(name for name, stands in found.items() if stands),
         inconsistent=outside,
-        failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one]),
+        failed_on=tuple(one for one in dict.fromkeys((*fail_on, "positions")) if of[one]),
     )
 
 

@@ -16,6 +16,7 @@ from comparisons.checks.position_gate import CheckPositions
 from comparisons.checks.qualifiers import CheckTruthGap
 from comparisons.checks.spurious import CheckSpurious
 from comparisons.checks.stated_noise import CheckStatedNoise
+from comparisons.checks.unused_positions import CheckUnusedPositions
 
 OF_FILTER: tuple[Check, ...] = (
     CheckOptimum(),
@@ -34,6 +35,7 @@ CHECKS: tuple[Check, ...] = (
     CheckAssociation(),
     CheckPositions(),
     CheckTruthGap(),
+    CheckUnusedPositions(),
     *OF_FILTER,
 )
 """Of every job."""

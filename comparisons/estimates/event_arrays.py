@@ -8,11 +8,10 @@ one update: two rows for each measurement, or any of its entries where each row 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, quoted
@@ -20,6 +19,8 @@ from comparisons.trace import events
 from comparisons.trace.reader import Trace
 
 _POSE, _POINT = 3, 2
+_NOT_OF_ONE = "has a measurement that is not of one landmark"
+_CORRELATED = "has noise that is correlated between measurements"
 COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
         "time_s": (), "departed": (_POSE,), "arrived": (_POSE,),
@@ -70,12 +71,17 @@ def event_arrays(trace: Trace) -> PlanarEvents:
     return reading.columns()
 
 
-class _Group(NamedTuple):
-    """Rows of an update that are of one measurement. entries: which of its two they are."""
+class _Measured(NamedTuple):
+    """One measurement of an update: residual (2,), jacobian (2, n), noise (2, 2).
+
+    landmark: which of the update's it is of.
+    """
 
     number: float
-    rows: list[int]
-    entries: list[int]
+    landmark: int
+    residual: Array
+    jacobian: Array
+    noise: Array
 
 
 class _Reading:
@@ -182,7 +188,7 @@ class _Reading:
         self.names.append(event.name)
         self._put(
             "initialise",
-            step=self._made_at(source),
+            step=self.copies.get(source, self.made),
             measurement=self._sized(event, "numbers", event.numbers, 1)[0],
             landmark=self.blocks[event.name],
             weight=event.weight,
@@ -195,124 +201,136 @@ class _Reading:
 
     def _position(self, event: events.Update) -> None:
         pose = self._sized(event, "point", event.point, _POSE)
-        for group, residual, noise, h in self._measured(event, lambda rows: np.eye(_POINT, _POSE)):
+        for one in self._measured(event, pose, 0):
             self._put(
                 "position",
                 step=self.made,
-                number=group.number,
+                number=one.number,
                 weight=event.weight,
                 pose=pose,
-                innovation=residual,
-                jacobian_pose=h,
-                noise=noise,
+                innovation=one.residual,
+                jacobian_pose=one.jacobian,
+                noise=one.noise,
             )
 
     def _update(self, event: events.Update) -> None:
-        blocks = event.blocks
-        poses = [block for block in blocks if self._is_pose(block)]
-        others = [block for block in blocks if block in self.blocks]
-        if len(poses) != 1 or len(poses) + len(others) != len(blocks):
-            self._refuse(event, "is of other blocks than one pose and landmarks")
-        size = _POSE + _POINT * len(others)
-        point = self._sized(event, "point", event.point, size)
-        if blocks[0] != poses[0]:
-            order = _pose_first(blocks.index(poses[0]), len(others))
-            point, event = point[order], event._replace(jacobian=event.jacobian[:, order])
-        step = self._made_at(poses[0])
-        landmarks = self._landmarks(event, len(others))
-
-        def expected(rows: list[int]) -> Array:
-            at = _POSE + _POINT * landmarks[rows[0]]
-            jacobian = np.zeros((_POINT, size))
-            entries = [*range(_POSE), at, at + 1]
-            jacobian[:, entries] = _range_and_bearing(point[:_POSE], point[at : at + _POINT])
-            return jacobian
-
-        for group, residual, noise, h in self._measured(event, expected):
-            landmark = landmarks[group.rows[0]]
-            at, name = _POSE + _POINT * landmark, others[landmark]
+        event, others = self._pose_first(event)
+        step = self.copies.get(event.blocks[0], self.made)
+        point = self._sized(event, "point", event.point, _POSE + _POINT * len(others))
+        for one in self._measured(event, point, len(others)):
+            at = _POSE + _POINT * one.landmark
             self._put(
                 "update",
                 step=step,
-                measurement=group.number,
-                landmark=self.blocks[name],
+                measurement=one.number,
+                landmark=self.blocks[others[one.landmark]],
                 weight=event.weight,
                 pose=point[:_POSE],
                 point=point[at : at + _POINT],
-                innovation=residual,
-                jacobian_pose=h[:, :_POSE],
-                jacobian_landmark=h[:, at : at + _POINT],
-                noise=noise,
+                innovation=one.residual,
+                jacobian_pose=one.jacobian[:, :_POSE],
+                jacobian_landmark=one.jacobian[:, at : at + _POINT],
+                noise=one.noise,
             )
+
+    def _pose_first(self, event: events.Update) -> tuple[events.Update, events.Blocks]:
+        """Return an update of a pose, first, and landmarks, and the blocks of these."""
+        blocks = event.blocks
+        where = [k for k, block in enumerate(blocks) if block not in self.blocks]
+        if len(where) != 1 or not self._is_pose(blocks[where[0]]):
+            self._refuse(event, "is of other blocks than one pose and landmarks")
+        (before,) = where
+        others = (*blocks[:before], *blocks[before + 1 :])
+        if not before:
+            return event, others
+        first, size = _POINT * before, _POSE + _POINT * len(others)
+        order = [*range(first, first + _POSE), *range(first), *range(first + _POSE, size)]
+        if event.point is not None:
+            event = event._replace(point=self._sized(event, "point", event.point, size)[order])
+        return event._replace(
+            blocks=(blocks[before], *others), jacobian=event.jacobian[:, order]
+        ), others
 
     def _is_pose(self, block: str) -> bool:
         return block in self.prior.blocks or block in self.copies
 
-    def _made_at(self, block: str) -> int:
-        """Steps made when the pose was what a block says."""
-        return self.copies.get(block, self.made)
+    def _measured(self, event: events.Update, point: Array, landmarks: int) -> Iterator[_Measured]:
+        """Yield what an update is of: two rows for each measurement, or a row for each number.
 
-    def _groups(self, event: events.Update) -> list[list[int]]:
-        """Rows of each measurement: two in turn, or those whose own numbers are the same."""
-        count, numbers = len(event.residual), event.numbers
+        point: of the pose and so many landmarks.
+        """
+        numbers, count = event.numbers, len(event.residual)
         if numbers is not None and len(numbers) == count:
-            rows: defaultdict[float, list[int]] = defaultdict(list)
-            for row, number in enumerate(numbers.tolist()):
-                rows[number].append(row)
-            if max(map(len, rows.values())) > _POINT:
-                self._refuse(event, "has more than two entries of one measurement")
-            return list(rows.values())
+            yield from self._of_entries(event, numbers, point, landmarks)
+            return
         if count % _POINT:
             self._refuse(
                 event,
                 "has a residual that is not of two entries for each measurement; expected so, or "
                 "numbers with one for each entry",
             )
-        self._sized(event, "numbers", numbers, count // _POINT)
-        return [[row, row + 1] for row in range(0, count, _POINT)]
+        numbers, noise = self._sized(event, "numbers", numbers, count // _POINT), self._parts(event)
+        for k, landmark in enumerate(self._landmarks(event, landmarks)):
+            rows = slice(_POINT * k, _POINT * (k + 1))
+            residual, jacobian = event.residual[rows], event.jacobian[rows]
+            yield _Measured(numbers[k], landmark, residual, jacobian, noise[k])
 
-    def _landmarks(self, event: events.Update, count: int) -> dict[int, int]:
-        """Which landmark each row is of: the one that its measurement's rows have columns of."""
-        groups = self._groups(event)
-        parts: NDArray[np.bool_] = np.any(
-            event.jacobian[:, _POSE:].reshape(len(event.residual), count, _POINT), axis=2
-        )
-        found = dict[int, int]()
-        for k, rows in enumerate(groups):
-            touched = parts[rows].any(axis=0)
-            landmark = 0 if count == 1 else int(touched.argmax())
-            if count > 1 and touched.sum() != 1:
-                if len(groups) != count or (len(rows) == 1 and touched.any()):
-                    self._refuse(event, "has a measurement that is not of one landmark")
-                landmark = k
-            found |= dict.fromkeys(rows, landmark)
-        return found
+    def _landmarks(self, event: events.Update, landmarks: int) -> list[int]:
+        """Which of the landmarks each measurement is of: the one that its rows have columns of."""
+        count = len(event.residual) // _POINT
+        if landmarks < 2:
+            return [0] * count
+        parts = event.jacobian[:, _POSE:].reshape(count, _POINT, landmarks, _POINT)
+        touched = parts.any(axis=(1, 3))
+        if (touched.sum(axis=1) == 1).all():
+            return list(touched.argmax(axis=1).tolist())
+        if count != landmarks:
+            self._refuse(event, _NOT_OF_ONE)
+        return list(range(count))
 
-    def _measured(
-        self, event: events.Update, expected: Callable[[list[int]], Array]
-    ) -> Iterator[tuple[_Group, Array, Array, Array]]:
-        """Yield each measurement with residual (2,), noise (2, 2) and Jacobian (2, n).
+    def _parts(self, event: events.Update) -> Array:
+        """The noise of each measurement (count, 2, 2)."""
+        count = len(event.residual) // _POINT
+        if count == 1:
+            return event.noise[None]
+        parts = event.noise.reshape(count, _POINT, count, _POINT)
+        every = np.arange(count)
+        own: Array = parts[every, :, every]
+        if np.count_nonzero(event.noise) > np.count_nonzero(own):
+            self._refuse(event, _CORRELATED)
+        return own
 
-        An entry that was not used has zeros, and a noise of one. expected: Jacobian of some rows'
-        measurement, which tells single entries.
-        """
-        groups, r = self._groups(event), event.noise
-        numbers = self._needed(event, "numbers", event.numbers)
-        single = len(numbers) == len(event.residual)
-        apart = np.ones_like(r, dtype=bool)
-        for rows in groups:
-            apart[np.ix_(rows, rows)] = False
-        if r[apart].any():
-            self._refuse(event, "has noise that is correlated between measurements")
-        for k, rows in enumerate(groups):
-            entries = [0, 1]
-            if single:
-                entries = _entries(event.jacobian[rows], expected(rows))
-            residual, noise = np.zeros(_POINT), np.eye(_POINT)
-            h = np.zeros((_POINT, event.jacobian.shape[1]))
-            residual[entries], h[entries] = event.residual[rows], event.jacobian[rows]
+    def _of_entries(
+        self, event: events.Update, numbers: Array, point: Array, landmarks: int
+    ) -> Iterator[_Measured]:
+        """Yield measurements of some entries each; one that was not used has zeros, and noise 1."""
+        rows_of: defaultdict[float, list[int]] = defaultdict(list)
+        for row, number in enumerate(numbers.tolist()):
+            rows_of[number].append(row)
+        h, r = event.jacobian, event.noise
+        own = np.zeros(r.shape, dtype=bool)
+        for number, rows in rows_of.items():
+            own[np.ix_(rows, rows)] = True
+            if len(rows) > _POINT:
+                self._refuse(event, "has more than two entries of one measurement")
+            landmark = self._landmark_of(event, rows, landmarks)
+            entries = _entries(h[rows], _expected(point, landmark, landmarks))
+            residual, noise, jacobian = np.zeros(_POINT), np.eye(_POINT), np.zeros((2, h.shape[1]))
+            residual[entries], jacobian[entries] = event.residual[rows], h[rows]
             noise[np.ix_(entries, entries)] = r[np.ix_(rows, rows)]
-            yield _Group(numbers[rows[0] if single else k], rows, entries), residual, noise, h
+            yield _Measured(number, landmark, residual, jacobian, noise)
+        if r[~own].any():
+            self._refuse(event, _CORRELATED)
+
+    def _landmark_of(self, event: events.Update, rows: list[int], landmarks: int) -> int:
+        """Which landmark some rows of one measurement are of."""
+        if landmarks < 2:
+            return 0
+        parts = event.jacobian[rows, _POSE:].reshape(len(rows), landmarks, _POINT)
+        touched = parts.any(axis=(0, 2))
+        if touched.sum() != 1:
+            self._refuse(event, _NOT_OF_ONE)
+        return int(touched.argmax())
 
     def _sized(self, event: events.Event, name: str, values: Array | None, size: int) -> Array:
         """What `check` needs beside an event's matrices."""
@@ -334,11 +352,15 @@ class _Reading:
         raise InputError(f"{self.path}, event {event.number}: {fault}")
 
 
-def _pose_first(before: int, landmarks: int) -> list[int]:
-    """Columns of the pose, behind so many landmarks, and then of these."""
-    first = _POINT * before
-    rest = [*range(first), *range(first + _POSE, _POSE + _POINT * landmarks)]
-    return [*range(first, first + _POSE), *rest]
+def _expected(point: Array, landmark: int, landmarks: int) -> Array:
+    """Jacobian (2, n) of a measurement at a point of pose and landmarks; of a position of none."""
+    if not landmarks:
+        return np.eye(_POINT, _POSE)
+    at = _POSE + _POINT * landmark
+    jacobian = np.zeros((_POINT, len(point)))
+    own = _range_and_bearing(point[:_POSE], point[at : at + _POINT])
+    jacobian[:, :_POSE], jacobian[:, at : at + _POINT] = own[:, :_POSE], own[:, _POSE:]
+    return jacobian
 
 
 def _range_and_bearing(pose: Array, point: Array) -> Array:

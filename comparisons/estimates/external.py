@@ -71,6 +71,7 @@ class ExternalEstimate(Brief):
         labels: Names of landmarks by id, as its file spells them; none where arrays have ids.
         time_ns: (K,) the times exactly as its file has them, in whole nanoseconds; None where
             `time_s` tells as much, as float64 does not of seconds since 1970.
+        removed: Landmarks that its filter has removed; None where nothing shows any.
     """
 
     time_s: Array

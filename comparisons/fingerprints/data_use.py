@@ -77,10 +77,15 @@ def without(log: Log, rows: Index, gate: float | None = None) -> Log:
 
     gate: of the others, the normalised innovation squared beyond which a filter leaves them out.
     """
-    seen = log.measurements
-    landmark = seen.landmark.copy()
+    landmark = log.measurements.landmark.copy()
     landmark[rows] = NO_LANDMARK
-    columns = {one.name: getattr(seen, one.name) for one in fields(seen)} | {"landmark": landmark}
+    return labelled_as(log, landmark, gate)
+
+
+def labelled_as(log: Log, label: NDArray[np.int64], gate: float | None = None) -> Log:
+    """Return a log with labels (M,) of its measurements; nobody uses those without."""
+    seen = log.measurements
+    columns = {one.name: getattr(seen, one.name) for one in fields(seen)} | {"landmark": label}
     if gate is not None:
         columns["label_gate"] = gate
     return replace(log, measurements=SelectedMeasurements(**columns))
@@ -114,9 +119,9 @@ def with_removed(given: ExternalEstimate, log: Log) -> ExternalEstimate:
     These are all that have no more than some number of measurements.
     """
     label = log.measurements.landmark
-    if given.removed is not None or given.landmark_id is None or (label < 0).any():
+    if given.removed is not None or given.landmark_id is None or not log.measurements.labelled:
         return given
-    absent = np.setdiff1d(label, given.landmark_id)
+    absent = np.setdiff1d(label[label >= 0], given.landmark_id)
     most = seldom_measured(label, absent)
     if not 0 < most <= _MOST_PRUNED:
         return given
@@ -209,20 +214,24 @@ class _Gated:
 
 
 class _Try(NamedTuple):
-    """A filter with a rule. near: beside the estimate, None where the run was given up."""
+    """A filter with a rule. near: beside the estimate, None where the run was given up.
+
+    equal_s, reached_s: the last time at which it was equal to rounding, and still near.
+    """
 
     order: str
     first: int
     gate: float
+    equal_s: float
     reached_s: float
     near: Likeness | None
     rejected: set[bytes]
 
     @property
-    def rank(self) -> tuple[bool, bool, float]:
+    def rank(self) -> tuple[bool, bool, float, float]:
         """The nearer, the larger."""
         grade = None if self.near is None else self.near.grade
-        return grade == "equal", grade is not None, self.reached_s
+        return grade == "equal", grade is not None, self.equal_s, self.reached_s
 
 
 def find_left_out(
@@ -306,4 +315,4 @@ class _Search:
                 near = likeness(given, found, labelled=True)
         except Left:
             pass
-        return _Try(order, first, gate, beside.reached_s, near, rejected)
+        return _Try(order, first, gate, beside.last_s, beside.reached_s, near, rejected)

@@ -23,6 +23,7 @@ from comparisons.checks.finding import Finding
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.checks.spurious import SpuriousFinding
+from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import RunConfig, config_class
 from comparisons.errors import InputError
@@ -253,6 +254,7 @@ def _judged(known: Known, unchecked: str) -> Comparison:
             known.value(TruthGapFinding),
             unchecked=unchecked,
             consistency=known.value(ConsistencyFinding),
+            unused=known.value(UnusedPositionsFinding),
             fail_on=prepared.config.fail_on,
         ),
     )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import errno
+import io
 import re
 import tomllib
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import numpy as np
 
@@ -19,6 +21,10 @@ from comparisons.logs.stamps import Nanoseconds, nanoseconds, resolved_by_floats
 
 _TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
+PACKED = {".gz": "gzip", ".bz2": "bz2"}
+"""Modules that unpack files, by suffix."""
+_MOST_BYTES = 256 * 2**20
+_DAMAGED = "damaged, or not packed as its suffix says, expected a whole gzip or bzip2 file"
 _QUOTED = re.compile(r"""\"[^"\n]*"|'[^'\n]*'""")
 _LONG_INTEGER = re.compile(r"[0-9a-fA-F_]{16}")
 _BETWEEN = re.compile(r"[=,#\[\]{}\n]")
@@ -139,8 +145,9 @@ def is_record(line: str) -> bool:
 
 def first_record(path: Path) -> str:
     """The first record of a text file without blanks around it, or nothing. Raises InputError."""
-    with reading(path), path.open(encoding="utf-8-sig") as file:
-        return next((line.strip() for line in file if is_record(line)), "")
+    with reading(path), unpacked(path) as file:
+        lines = io.TextIOWrapper(file, encoding="utf-8-sig")
+        return next((line.strip() for line in lines if is_record(line)), "")
 
 
 @contextmanager
@@ -177,16 +184,42 @@ def first_words(path: Path) -> list[str]:
     """Return the words of a text file's first record; none of what has none, or is no file."""
     if not path.is_file():
         return []
-    with path.open("rb") as file:
-        lines = file.read(65536).splitlines()
+    try:
+        with reading(path), unpacked(path) as file:
+            lines = file.read(65536).splitlines()
+    except InputError:
+        return []
     kept = (line for line in lines if line.strip() and not line.startswith(b"#"))
     return next(kept, b"").decode("ascii", "replace").split()
 
 
 def read_text(path: Path) -> str:
-    """A file's text. Raises InputError when it is missing, unreadable or not text."""
-    with reading(path):
-        return path.read_text(encoding="utf-8-sig")
+    """A file's text, unpacked where its suffix says so.
+
+    Raises InputError when it is missing, unreadable or not text.
+    """
+    with reading(path), unpacked(path) as file:
+        if path.suffix.lower() not in PACKED:
+            return file.read().decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise InputError(f"{path}: holds more than {_MOST_BYTES >> 20} MiB, expected fewer")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def unpacked(path: Path) -> IO[bytes]:
+    """Open a file, one that is packed as its suffix says, for its contents."""
+    if path.suffix.lower() not in PACKED:
+        return path.open("rb")
+    from importlib import import_module
+
+    opened: IO[bytes] = import_module(PACKED[path.suffix.lower()]).open(path, "rb")
+    return opened
+
+
+def stem(path: Path) -> str:
+    """Return a file's name without its suffix, and without that of its packing."""
+    return (path.with_suffix("") if path.suffix.lower() in PACKED else path).stem
 
 
 @contextmanager
@@ -199,9 +232,13 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: no such file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8, expected one") from None
+    except (EOFError, zlib.error):
+        raise InputError(f"{path}: {_DAMAGED}") from None
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             raise InputError(unusable_file(error, path)) from None
+        if error.errno is None and path.suffix.lower() in PACKED:
+            raise InputError(f"{path}: {_DAMAGED}") from None
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 

@@ -82,7 +82,7 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import Summary
-from comparisons.words import Row
+from comparisons.words import Row, cause_name
 from ekf_reference.core.landmark_types import POINT
 
 EXTERNAL = "external estimate"
@@ -492,14 +492,18 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         if len(agree) < 2:
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
         required = f" (required: {result.required})"
+        departure = [] if result.departure is None else [str(result.departure)]
+        explained = [cause_name(gap) for gap in self.found.consequences]
         symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
-        departure = [str(result.departure)] if symptom and result.departure is not None else []
         return Summary(
             headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
             look=result.look,
             causes=result.causes,
-            reasons=departure,
-            remarks=[remark for remark in result.remarks if remark not in departure],
+            explained=[DEPARTURE, *explained] if departure and explained else explained,
+            reasons=departure if symptom else [],
+            remarks=[
+                one for one in result.remarks if not ((symptom or explained) and one in departure)
+            ],
             steps=check_ladder(result),
             lines=[
                 ("agreement", "; ".join(agree)),

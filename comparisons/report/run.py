@@ -150,6 +150,7 @@ class RunReport(Report[Comparison, Result]):
             headline=result.headline,
             words=_WORDS[result.verdict],
             facts=[
+                *facts_of(_known_example(result)),
                 *_facts(result, [*a, *scan]),
                 *facts_of(c.known.lines, leave="consistency" if inconsistent else ""),
             ],

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.checks.qualifiers import TRUTH_GAP, TruthGapFinding
+from comparisons.checks.qualifiers import TruthGapFinding, against_optimum
+from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.config import EkfConfig, JobConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import finite, package_versions, stored
@@ -28,6 +29,7 @@ from comparisons.report.models import (
 from comparisons.report.panels import known_panels
 from comparisons.report.settings import SettingLine, setting_lines, settings_result
 from comparisons.report.terminal import Summary
+from comparisons.words import cause_name
 from graphslam import smoother
 
 if TYPE_CHECKING:
@@ -81,12 +83,12 @@ def optimum_findings(
     known: Known, result: type[CheckedResult], remarks: Sequence[str]
 ) -> dict[str, Any]:
     """Return the same for an optimum with which no filter is compared, and all remarks."""
-    gap = known.value(TruthGapFinding)
-    far = None if gap is None else gap.cause
+    against = against_optimum(known.value(TruthGapFinding), known.value(UnusedPositionsFinding))
+    said = [f"{cause_name(one.gap)}: {one.evidence}" for one in against.values()]
     return {
         **found_entries(known, result),
-        "qualifiers": [TRUTH_GAP] if far else [],
-        "remarks": [*([f"{far.gap} gap: {far.evidence}"] if far else []), *remarks],
+        "qualifiers": list(against),
+        "remarks": [*said, *remarks],
     }
 
 

@@ -20,7 +20,7 @@ from comparisons.audit.run_trace import write_run
 from comparisons.checks.agreement import Gap, Gaussian, gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
-from comparisons.checks.diagnosis.single_precision import replay
+from comparisons.checks.diagnosis.trace_recursion import replay
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
@@ -475,6 +475,12 @@ def copied_landmark(record: Recorder) -> None:
     record.clone("landmark 1", "copy")
 
 
+def removed_pose(record: Recorder) -> None:
+    """Two landmarks, an update of both, and no pose after that."""
+    pair(record, np.eye(4, 7, 3), np.eye(4))
+    record.remove("pose")
+
+
 def pair(record: Recorder, h: Array, r: Array) -> None:
     """Two landmarks, and an update of both."""
     for name in ("landmark 1", "landmark 2"):
@@ -502,7 +508,7 @@ UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
         copied_landmark,
         "event 4: copies 'landmark 1'; expected a copy of the pose",
     ),
-    "pose removed": (lambda r: r.remove("pose"), "event 1: removes the pose"),
+    "pose removed": (removed_pose, "event 4: removes the pose"),
     "three entries": (
         lambda r: pair(r, np.eye(3, 7, 3), np.eye(3)),
         "event 3: has a residual that is not of two entries for each measurement; expected so, or",

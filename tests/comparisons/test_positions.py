@@ -11,7 +11,14 @@ import pytest
 from comparisons.adapters.ekf_factory import fused_positions, held_out_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.checks.qualifiers import CONTRADICTED
+from comparisons.checks.unused_positions import (
+    UnusedPositionsFinding,
+    independent,
+    unused_positions,
+)
 from comparisons.config import EkfConfig
+from comparisons.estimates.estimate import Estimate
 from comparisons.jobs.run import Modified
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
@@ -200,3 +207,89 @@ def test_victoria_park_with_gps(shared_data: Path) -> None:
     assert_followed(c, 1e-6)
     assert c.ekf.rejected_fixes > 0
     assert present(present(c.accuracy.ekf).gps_median_m) < 0.8
+
+
+def at_truth(log: Log) -> Estimate:
+    """An optimum at the truth, sure to 0.1 m."""
+    truth = present(log.truth.poses)
+    covariance = np.tile(0.01 * np.eye(3), (len(truth.time_s), 1, 1))
+    none = np.zeros(0, dtype=np.int64)
+    return Estimate(
+        time_s=truth.time_s,
+        pose=truth.pose,
+        pose_covariance=covariance,
+        landmark_id=none,
+        landmark=np.zeros((0, 2)),
+        joint_covariance=np.eye(3),
+        information="smoothed",
+    )
+
+
+UNUSED: dict[str, tuple[Callable[[Array], Array], bool]] = {
+    "sound": (lambda t: 0.0 * t, False),
+    "one lasting error of a sigma and a half": (lambda t: 0.45 + 0.0 * t, False),
+    "a bad one in six": (lambda t: 30.0 * (np.arange(len(t)) % 6 == 0), False),
+    "an offset of five sigma": (lambda t: 1.5 + 0.0 * t, True),
+    "more than stated, each for itself": (
+        lambda t: 1.5 * np.random.default_rng(1).standard_normal(len(t)), True
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNUSED)
+def test_positions_that_nobody_used_are_judged_by_their_middle(name: str) -> None:
+    """Broken variants: the mean lets one in six, independent ones a lasting error contradict."""
+    change, contradict = UNUSED[name]
+    log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
+    positions = present(log.positions)
+    error = np.column_stack((change(positions.time_s), np.zeros(len(positions.time_s))))
+    wrong = replace(positions, position_m=positions.position_m + error)
+    found = unused_positions(wrong, at_truth(log))
+    assert found.contradict is contradict
+    (row,) = UnusedPositionsFinding(found).rows()
+    assert row.inside is not contradict
+    assert (found.cause is None) is not contradict
+
+
+def test_positions_that_contradict_have_an_exit_code() -> None:
+    """A run's, of positions that are late; no sigma is blamed."""
+    log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
+    late = moved(log, lambda one: replace(one, time_s=one.time_s + 0.9))
+    for used, wrong in ((log, False), (late, True)):
+        verdict = compared(used, association="known").verdict
+        assert verdict.outcome == "agree"
+        assert (CONTRADICTED in verdict.qualifiers) is wrong
+        assert verdict.failed_on == (("positions",) if wrong else ())
+        assert [one.gap for one in verdict.causes] == (["contradiction"] if wrong else [])
+        assert not any("sigma" in one.hint for one in verdict.causes)
+
+
+def test_the_number_of_independent_errors() -> None:
+    """An offset is one, white noise is its number, and a correlation of 0.9 takes 19 for one."""
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((4000, 2))
+    assert independent(np.ones((40, 2))) == pytest.approx(1.0, abs=0.1)
+    assert independent(white) == pytest.approx(4000.0, rel=0.15)
+    slow = [white[0]]
+    for one in white[1:]:
+        slow.append(0.9 * slow[-1] + np.sqrt(1.0 - 0.81) * one)
+    assert independent(np.array(slow)) == pytest.approx(4000.0 / 19.0, rel=0.25)
+
+
+@pytest.mark.parametrize("name", ["late", "elsewhere"])
+def test_a_motion_is_named_where_all_positions_fit_by_it(name: str) -> None:
+    """Half of the positions turned, half moved: no motion leaves their noise, and none is named."""
+    log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
+    positions = present(log.positions)
+    if name == "late":
+        changed = replace(positions, time_s=positions.time_s + 0.9)
+    else:
+        turned = rotated(positions).position_m
+        half = np.arange(len(turned)) % 2 == 0
+        changed = replace(
+            positions, position_m=np.where(half[:, None], turned, positions.position_m + 3.0)
+        )
+    found = unused_positions(changed, at_truth(log))
+    assert found.contradict
+    assert ("s too late" in found.fit) is (name == "late")
+    assert bool(found.fit) is (name == "late")

@@ -147,7 +147,7 @@ class Drawing:
         self.p = 0.5 * (p + p.T)
         self.error = self.error - correction
         # Rounding of what there was decides on what is left; neither nothing nor something.
-        left = np.abs(self.p.diagonal()) / np.maximum(self.most, 1e-300) ** 2
+        left = np.abs(self.p.diagonal()) / np.maximum(self.most**2, 1e-300)
         self.planted += bool(((left > 1e-15) & (left < 1e-10)).any())
 
     def augment(self) -> None:

@@ -294,3 +294,49 @@ def test_isam_numbers_landmarks_apart(tmp_path: Path) -> None:
     again = read_g2o(tmp_path / "b.g2o")
     assert again.landmark_ids.tolist() == [0, 7]
     assert np.array_equal(again.problem.increment_covariance, problem.increment_covariance)
+
+
+UPPER = ("xx", "xy", "xh", "yy", "yh", "hh")
+ORDERS = {
+    "diagonal first": "xx yy hh xy xh yh",
+    "lower triangle": "xx xy yy xh yh hh",
+    "TORO": "xx xy yy hh xh yh",
+}
+
+
+def information(order: str, seed: int) -> str:
+    """The entries of a definite matrix that fits no other order."""
+    root = np.random.default_rng(seed).normal(size=(3, 3)) * (10.0, 10.0, 3.0)
+    matrix = root @ root.T + np.diag((100.0, 100.0, 900.0))
+    named = dict(zip(UPPER, matrix[np.triu_indices(3)].tolist(), strict=True))
+    return " ".join(f"{named[name]:.6g}" for name in order.split())
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_information_in_another_order_is_named_and_not_used(tmp_path: Path, order: str) -> None:
+    """A right file is read; one whose matrix is definite in no order names none."""
+    edges = "".join(
+        f"EDGE_SE2 {k} {k + 1} 1 0 0.1 {information(ORDERS[order], k)}\n" for k in range(9)
+    )
+    path = tmp_path / "graph.g2o"
+    path.write_text(edges)
+    with pytest.raises(ValueError, match=r"graph\.g2o:1: EDGE_SE2: the information is") as caught:
+        read_g2o(path)
+    said = str(caught.value)
+    assert f"{ORDERS[order]} ({order})" in said
+    assert "all 9 of these lines are positive definite" in said
+    assert said.endswith("write the upper triangle by rows (xx xy xh yy yh hh)")
+    path.write_text(edges.replace("EDGE_SE2 0 1 1 0 0.1", "EDGE_SE2 0 1 1 0 0.1 -1 0 0 1 0 1 #"))
+    with pytest.raises(ValueError, match=r"not positive definite$"):
+        read_g2o(path)
+    path.write_text(edges.replace(information(ORDERS[order], 0), information(" ".join(UPPER), 0)))
+    with pytest.raises(ValueError, match=r"graph\.g2o:[23]: .*positive definite$"):
+        read_g2o(path)
+
+
+def test_the_diagonal_of_a_point_comes_first(tmp_path: Path) -> None:
+    path = tmp_path / "graph.g2o"
+    points = "".join(f"EDGE_SE2_XY 0 {k} 3 1 40 90 5\n" for k in range(1, 4))
+    path.write_text(f"VERTEX_SE2 0 0 0 0\n{points}")
+    with pytest.raises(ValueError, match=r"read as xx yy xy \(diagonal first\), all 3 of these"):
+        read_g2o(path)

@@ -29,7 +29,7 @@ from comparisons.logs.odometry import NOISE_TEXT, displacements, poses_at
 from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweep
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
-from comparisons.logs.table import first_words, locate_rows, read_text
+from comparisons.logs.table import first_words, locate_rows, read_text, stem
 
 _MOUNT_TOLERANCE = np.array([0.05, 0.05, 0.02])
 _LARGEST_FALL_S = 0.1
@@ -62,7 +62,7 @@ def read(path: Path) -> Log:
     sweeps = reader.sweeps[kind]
     if not sweeps:
         raise InputError(f"{path}: expected at least one FLASER or ROBOTLASER1 line")
-    mount = _mount(path, sweeps)
+    mount, grid = _mount(path, sweeps), reader.beams[kind]
     lines, times = [one.line for one in sweeps], np.array([one.times_s for one in sweeps])
     clock = _clock(lines, times)
     order, time_s, repeated, swapped = _in_order(times, clock)
@@ -85,9 +85,9 @@ def read(path: Path) -> Log:
     with locate_rows(path, lambda row: lines[order[row]]):
         scans = Scans(
             time_s=time_s,
-            angle_rad=sweeps[0].angle_rad,
-            range_m=np.array([one.range_m for one in sweeps])[order],
-            intensity=np.array([one.remission for one in sweeps])[order],
+            angle_rad=grid.angle_rad,
+            range_m=np.array([grid.filled(s.angle_rad, s.range_m) for s in sweeps])[order],
+            intensity=np.array([grid.filled(s.angle_rad, s.remission, 0.0) for s in sweeps])[order],
             mount=mount,
         )
     others = reader.skipped + Counter(
@@ -95,7 +95,9 @@ def read(path: Path) -> Log:
     )
     provenance = {
         "file": path.name,
-        "scans": f"{kind} lines",
+        "scans": "; ".join(
+            filter(None, (f"{kind} lines", grid.words([len(s.angle_rad) for s in sweeps])))
+        ),
         "odometry": source,
         "times": clock.text,
         "time_origin_s": f"{start:.3f}",
@@ -107,7 +109,7 @@ def read(path: Path) -> Log:
         "odometry_noise": NOISE_TEXT,
     }
     return Log(
-        name=path.stem,
+        name=stem(path),
         format="carmen",
         prior=Prior(float(time_s[0]), np.zeros(3), PRIOR_SIGMA**2 * np.eye(3)),
         odometry=displacements(time_s, pose),

@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, shorten
+from comparisons.logs.readers.beams import BeamGrid
 from comparisons.logs.table import number_or_fail
 from comparisons.logs.validation import LARGEST
 
@@ -56,6 +57,7 @@ class LineReader:
         """path: for errors only."""
         self.path = path
         self.sweeps: dict[str, list[Sweep]] = {"FLASER": [], "ROBOTLASER1": []}
+        self.beams: dict[str, BeamGrid] = {}
         self.odometry: list[list[float]] = []
         self.skipped: Counter[str] = Counter()
         self.maximum_m = _MAXIMUM_M
@@ -145,21 +147,24 @@ class LineReader:
     def _add(self, kind: str, sweep: Sweep) -> None:
         sweeps, number = self.sweeps[kind], sweep.line
         angle, ranges = sweep.angle_rad, sweep.range_m
-        first = sweeps[0] if sweeps else sweep
-        expected = first.angle_rad  # one array for all of them: logs are long
+        before = sweeps[-1] if sweeps else sweep
+        grid = self.beams.setdefault(kind, BeamGrid(angle))
         if (ranges < 0).any():
             raise InputError(
                 f"{self.path}:{number}: range is {ranges[ranges < 0][0]:g}, expected 0 or more"
             )
-        if len(angle) != len(expected) or not np.allclose(angle, expected, atol=1e-3):
+        if not grid.take(angle):
+            expected, first = grid.angle_rad, sweeps[0]
             raise InputError(
                 f"{self.path}:{number}: {len(angle)} beams from {angle[0]:.4g} to {angle[-1]:.4g} "
                 f"rad, expected {len(expected)} from {expected[0]:.4g} to "
-                f"{expected[-1]:.4g} as in line {first.line}"
+                f"{expected[-1]:.4g} as in line {first.line}, or some of them in a row"
             )
         measured = (ranges > 0) & (ranges < sweep.maximum_m)
         found = np.where(measured, ranges, np.nan)
-        sweeps.append(sweep._replace(angle_rad=expected, range_m=found))
+        if len(before.angle_rad) == len(angle):
+            angle = before.angle_rad  # one array for all of them: logs are long
+        sweeps.append(sweep._replace(angle_rad=angle, range_m=found))
 
     def _count(self, number: int, words: list[str], at: int, name: str, least: int) -> int:
         word = words[at] if at < len(words) else ""

@@ -13,7 +13,7 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.table import first_words, reading
+from comparisons.logs.table import first_words, reading, stem
 from comparisons.logs.validation import LARGEST
 from graphslam.g2o import read_g2o
 from graphslam.g2o import recognises as knows
@@ -49,7 +49,7 @@ def read(path: Path) -> Log:
         ends = closed.first.astype(float), closed.second.astype(float)
         closures = LoopClosures(*ends, closed.motion, closed.covariance)
     return Log(
-        name=path.stem,
+        name=stem(path),
         format="g2o",
         prior=Prior(0.0, problem.prior_pose, problem.prior_covariance),
         odometry=RelativePoses(

@@ -19,7 +19,7 @@ from comparisons.arrays import Array, symmetric
 from comparisons.errors import InputError, shorten
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.table import first_words, locate_rows, number_or_fail, read_text
+from comparisons.logs.table import first_words, locate_rows, number_or_fail, read_text, stem
 
 _COLUMNS = {
     "ODOMETRY": ("i", "j", "dx", "dy", "dheading", "c00", "c01", "c02", "c11", "c12", "c22"),
@@ -94,7 +94,7 @@ def read(path: Path) -> Log:
     with locate_rows(path, lambda row: seen_line[order[row]]):
         measurements = _measurements(np.array(seen)[order])
     return Log(
-        name=path.stem.replace("_", "-"),
+        name=stem(path).replace("_", "-"),
         format="gtsam-2d",
         prior=Prior(0.0, np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
         odometry=odometry,

@@ -33,6 +33,7 @@ from comparisons.logs.log import (
 )
 from comparisons.logs.odometry import NOISE_TEXT, RelativePoses, displacements, poses_at
 from comparisons.logs.readers import rawlog_stream as stream
+from comparisons.logs.readers.beams import BeamGrid
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import number_or_fail, read_text
@@ -258,19 +259,18 @@ def _check_planar(path: Path, item: stream.Seen) -> None:
 
 def _scans(path: Path, drive: _Drive) -> tuple[Scans | None, dict[str, str]]:
     """Of the scanner that has most of them: those with its label, its beams and its place."""
-    groups: dict[object, list[tuple[float, stream.Sweep]]] = {}
+    groups: list[_Scanner] = []
+    count = 0
     for time, frame in zip(drive.time_s, drive.frames, strict=True):
-        taken = set()
-        for item in frame.observations:
-            if isinstance(item, stream.Sweep):
-                place = tuple(np.round(item.sensor[:3].ravel(), 3).tolist())
-                kind = (item.label, len(item.angle_rad), round(item.angle_rad[0], 6), place)
-                if kind not in taken:
-                    groups.setdefault(kind, []).append((float(time), item))
-                    taken.add(kind)
+        sweeps = [item for item in frame.observations if isinstance(item, stream.Sweep)]
+        count += len(sweeps)
+        for item in sweeps:
+            if not any(group.take(float(time), item) for group in groups):
+                groups.append(_Scanner(float(time), item))
     if not groups:
         return None, {}
-    chosen = max(groups.values(), key=len)
+    scanner = max(groups, key=lambda group: len(group.sweeps))
+    chosen, grid = scanner.sweeps, scanner.grid
     first = chosen[0][1]
     level = first.sensor[2, 2]
     if not abs(level) >= _LEVEL:
@@ -282,16 +282,41 @@ def _scans(path: Path, drive: _Drive) -> tuple[Scans | None, dict[str, str]]:
     with _locating(path, lambda row: chosen[row][1].at):
         scans = Scans(
             time_s=np.array([time for time, _ in chosen]),
-            angle_rad=np.sign(level) * first.angle_rad,
-            range_m=np.array([item.range_m for _, item in chosen]),
-            intensity=np.array([item.intensity for _, item in chosen]),
+            angle_rad=np.sign(level) * grid.angle_rad,
+            range_m=np.array([grid.filled(i.angle_rad, i.range_m) for _, i in chosen]),
+            intensity=np.array([grid.filled(i.angle_rad, i.intensity, 0.0) for _, i in chosen]),
             mount=Mount(float(first.sensor[0, 3]), float(first.sensor[1, 3]), float(heading)),
         )
-    others = sum(map(len, groups.values())) - len(chosen)
     named = shorten(first.label) or "no label"
-    return scans, {
-        "scans": f"{len(chosen)} CObservation2DRangeScan ({named}), {others} of others left out"
-    }
+    lost = count - len(chosen)
+    words = f"{len(chosen)} of {count} CObservation2DRangeScan ({named})"
+    fewer = grid.words([len(item.angle_rad) for _, item in chosen])
+    found = {"scans": words + (fewer and f"; {fewer}")}
+    if lost:
+        before = drive.provenance.get("left_out")
+        cut = f"{lost} scans of another scanner, or repeated"
+        found["left_out"] = f"{before}; {cut}" if before else cut
+    return scans, found
+
+
+class _Scanner:
+    """Scans of one label, place and row of beams, at most one a frame."""
+
+    def __init__(self, time_s: float, first: stream.Sweep) -> None:
+        self.grid, self.sweeps = BeamGrid(first.angle_rad), [(time_s, first)]
+        self._kind = _label_and_place(first)
+
+    def take(self, time_s: float, item: stream.Sweep) -> bool:
+        """Add a scan, unless it is of another scanner or repeats the time of the last one."""
+        if _label_and_place(item) != self._kind or not self.grid.take(item.angle_rad):
+            return False
+        if self.sweeps[-1][0] != time_s:
+            self.sweeps.append((time_s, item))
+        return True
+
+
+def _label_and_place(item: stream.Sweep) -> tuple[object, ...]:
+    return item.label, tuple(np.round(item.sensor[:3].ravel(), 3).tolist())
 
 
 def _truth(path: Path, drive: _Drive) -> Truth:

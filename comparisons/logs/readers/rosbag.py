@@ -29,6 +29,7 @@ from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
 from comparisons.logs.odometry_noise import reckoned_motion
 from comparisons.logs.readers import ros_bag, ros_points
+from comparisons.logs.readers.beams import BeamGrid
 from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
 from comparisons.logs.readers.ros_messages import Sweep, cloud, frame, rigid_motion, stamp_ns, sweep
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
@@ -36,7 +37,6 @@ from comparisons.logs.scans import Clouds, Mount, Scans
 
 _BASES = ("base_link", "base_footprint")
 _MOST_POINTS = 50_000_000
-_ANGLE_TOLERANCE_RAD = 1e-3
 _LEVEL = np.cos(np.deg2rad(5.0))
 _OF_ODOMETRY = {
     "measurements": (ros_bag.BOXES, ros_bag.MARKERS, ros_bag.IMAGE_BOXES),
@@ -407,25 +407,48 @@ def _stream(
 
 
 def _scan_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:
-    """LaserScan messages, whose beams must not change."""
-    first: list[Sweep] = []
+    """LaserScan messages, whose beams are those of the widest, or some of them in a row."""
+    grids: list[BeamGrid] = []
+    before: list[Array] = []
 
     def convert(message: Any, place: str) -> Sweep:
         found = sweep(message, place)
-        if not first:
-            first.append(found)
-        angle, expected = found.angle_rad, first[0].angle_rad
-        ends = (0, -1)
-        if len(angle) != len(expected) or any(
-            abs(angle[i] - expected[i]) > _ANGLE_TOLERANCE_RAD for i in ends
-        ):
+        angle = found.angle_rad
+        if not grids:
+            grids.append(BeamGrid(angle))
+        if not grids[0].take(angle):
+            expected = grids[0].angle_rad
             raise InputError(
                 f"{place}: {len(angle)} beams from {angle[0]:.4g} to {angle[-1]:.4g} rad, expected "
-                f"{len(expected)} from {expected[0]:.4g} to {expected[-1]:.4g} as in the first"
+                f"{len(expected)} from {expected[0]:.4g} to {expected[-1]:.4g} as in the first, or "
+                "some of them in a row"
             )
-        return replace(found, angle_rad=expected)  # one array for all of them: bags are long
+        same = next((one for one in before if len(one) == len(angle)), None)
+        if same is None:
+            before.append(angle)
+        return found if same is None else replace(found, angle_rad=same)  # bags are long
 
-    return _stream(bag, ros_bag.LASER, convert, provenance)
+    stream = _stream(bag, ros_bag.LASER, convert, provenance)
+    if stream is None:
+        return None
+    words = grids[0].words([len(one.angle_rad) for one in stream.items])
+    if words:
+        provenance[_key(ros_bag.LASER)] += f"; {words}"
+    items = [_filled(grids[0], one) for one in stream.items]
+    return replace(stream, items=items)
+
+
+def _filled(grid: BeamGrid, found: Sweep) -> Sweep:
+    """A sweep with all beams of the grid."""
+    if len(found.angle_rad) == len(grid.angle_rad):
+        return found
+    angle = found.angle_rad
+    return replace(
+        found,
+        angle_rad=grid.angle_rad,
+        range_m=grid.filled(angle, found.range_m),
+        intensity=grid.filled(angle, found.intensity, 0.0),
+    )
 
 
 def _point_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None:

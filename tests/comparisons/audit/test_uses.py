@@ -49,7 +49,7 @@ class Drive:
                 p = F @ p @ F.T + Q
                 record.predict(F, Q)
                 if before:
-                    error, p = self._fuse(record, "wheel", error, p, error * 0.0, (R, {}, 1.0))
+                    error, p = self._fuse(record, "wheel", error, p, error * 0.0, (R, 1.0, 1.0))
                 noise = np.sqrt(np.diag(R)) * rng.standard_normal(2)
                 if outliers and step % 10 == 5:
                     noise = np.array([5.0, 5.0])
@@ -58,9 +58,9 @@ class Drive:
                     record.reject("gps", residual, H, R)
                     continue
                 for _ in range(times):
-                    more = {"weight": 1.0 / times} if parts else {}
+                    weight = 1.0 / times if parts else 1.0
                     r = R * times if parts else R
-                    made = (r, more, overshoot if gains else 1.0)
+                    made = (r, weight, overshoot if gains else 1.0)
                     error, p = self._fuse(record, "gps", error, p, noise, made)
         return audit(self.path)
 
@@ -71,13 +71,13 @@ class Drive:
         error: Array,
         p: Array,
         noise: Array,
-        made: tuple[Array, dict[str, float], float],
+        made: tuple[Array, float, float],
     ) -> tuple[Array, Array]:
-        r, more, factor = made
+        r, weight, factor = made
         residual = error + noise
         gain = factor * p @ np.linalg.inv(p + r)
         change = gain @ residual
-        record.update(sensor, residual, H, r, gain=gain, correction=change, **more)
+        record.update(sensor, residual, H, r, gain=gain, correction=change, weight=weight)
         keep = np.eye(2) - gain
         p = keep @ p @ keep.T + gain @ r @ gain.T
         record.snapshot(p)

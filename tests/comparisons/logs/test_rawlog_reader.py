@@ -149,7 +149,7 @@ def test_scans(version: int, place: int, tmp_path: Path) -> None:
     mount = log.scans.mount
     assert np.allclose((mount.forward_m, mount.left_m, mount.heading_rad), (0.2, 0.1, 0.5))
     assert log.scans.intensity[0].tolist() == ([0, 1, 2, 3, 4] if version == 7 else [0] * 5)
-    assert log.provenance["scans"].endswith("(front), 1 of others left out")
+    assert log.provenance["scans"].endswith("CObservation2DRangeScan (front)")
     assert_survives_a_folder(log, tmp_path / "again")
 
 

@@ -338,8 +338,9 @@ BAD_CARMEN = {
         ":1: num_readings is 90, expected 180, 181, 360, 361, or",
     ),
     "change": (
-        flaser(0.0, 0.0) + flaser(1.0, 0.0, beams=181),
-        ":2: 181 beams from -1.571 to 1.571 rad, expected 180 from -1.571 to 1.553 as in line 1",
+        flaser(0.0, 0.0) + flaser(1.0, 0.0, beams=361),
+        ":2: 361 beams from -1.571 to 1.571 rad, expected 180 from -1.571 to 1.553 as in line 1, "
+        "or some of them in a row",
     ),
     "mount": (
         CARMEN + flaser(101.0, 2.0, laser=0.5),
