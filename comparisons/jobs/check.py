@@ -416,10 +416,10 @@ class _Job:
     def by_map(self, first: ExternalCheck) -> ExternalCheck | None:
         """The same beside references that associate as the estimate's map says, if it is like one.
 
-        None where a trace says how its filter did, or the log's labels do.
+        None where the log's labels do.
         """
         solution = first.solution
-        if first.trace is not None or solution.prepared.labelled:
+        if solution.prepared.labelled:
             return None
         implied = map_labels(first.inside, solution.log.measurements, solution.landmark_index)
         if implied is None:
