@@ -33,7 +33,7 @@ from comparisons.logs.transforms.calibration import Line, controlled, delayed, d
 from graphslam.marginals import SingularProblemError
 
 LOGS, QUICK = 200, 4
-_SAMPLES = 120
+_SAMPLES = 100
 _KINDS = ("velocity", "steering", "poses")
 _FIXES = 6
 _DEGREE = np.pi / 180.0

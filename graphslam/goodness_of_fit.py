@@ -38,6 +38,8 @@ _FEWEST_PAIRS = 20
 _LEAST_SHARE = 1e-3
 """Of a degree of freedom; a row with less is fitted, whatever it says."""
 _LEAST_DOF = 1.0
+_MOST_ROWS = 8192
+"""Of more, every so many runs of a block's length are judged: each row costs a solution."""
 _BLOCK = 256
 """Rows that are solved for at a time."""
 _RIDGE = 1e-14
@@ -239,14 +241,16 @@ def _parts(
     jacobian, right = sparse_system(graph, values, len(rows.component))
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
     solver = factorised(jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1]))
-    known = rows.component >= 0
+    skipped = max(1, -(-len(rows.component) // _MOST_ROWS))
+    number = np.arange(len(rows.component)) // _BLOCK
+    known = (rows.component >= 0) & (number % skipped == 0)
     order = np.lexsort((np.arange(len(known)), rows.landmark, rows.entry, rows.component))
     following = np.full(len(known), -1)
     alike = [np.diff(column[order]) == 0 for column in (rows.component, rows.entry, rows.landmark)]
     pairs = np.flatnonzero(np.logical_and.reduce(alike))
     following[order[pairs]] = order[pairs + 1]
     share, beside = np.ones(len(known)), np.zeros(len(known))
-    for begin in range(0, len(known), _BLOCK):
+    for begin in range(0, len(known), _BLOCK * skipped):
         block = np.arange(begin, min(begin + _BLOCK, len(known)))
         fitted = jacobian @ solver.solve(jacobian[block].T.toarray())
         share[block] = 1.0 - fitted[block, block - begin]

@@ -15,7 +15,7 @@ import numpy as np
 
 from graphslam.arrays import Array
 from graphslam.extreme_edges import READINGS, extreme_edges, meant
-from graphslam.goodness_of_fit import far_less
+from graphslam.goodness_of_fit import Goodness, far_less
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
 from graphslam.optimisers import levenberg_marquardt, optimise, polish
@@ -95,7 +95,19 @@ def few_misread(problem: SlamProblem) -> EdgeReading | None:
 def _fitted(
     problem: SlamProblem, band: tuple[float, float], test: ChiSquareTest
 ) -> ChiSquareTest | None:
-    """Return the test of an optimum whose chi-square is in a band, None where there is none.
+    """Return the test of an optimum that fits, None where there is none.
+
+    Its chi-square lies in a band, and so do its residuals by kind of edge and along the graph; in a
+    band that is wider than the test's below, none is larger than stated.
+    """
+    goodness = _solved(problem, band)
+    if goodness is None or not (goodness.within if band[0] < test.lower else goodness.sound):
+        return None
+    return replace(test, chi2=goodness.test.chi2)
+
+
+def _solved(problem: SlamProblem, band: tuple[float, float]) -> Goodness | None:
+    """Return an optimum whose chi-square is in a band, None where there is none.
 
     The descent ends as soon as it is below the band, or far above it after some iterations.
     """
@@ -106,10 +118,11 @@ def _fitted(
             values = levenberg_marquardt(graph, values, 1e-2, iterations)[0]
             if not lower <= 2.0 * graph.error(values) <= factor * upper:
                 return None
-        chi2 = 2.0 * polish(graph, optimise(graph, values)[0])[1]
+        values = polish(graph, optimise(graph, values)[0])[0]
     except RuntimeError:
         return None
-    return replace(test, chi2=chi2) if lower <= chi2 <= upper else None
+    goodness = Goodness(problem, graph, values)
+    return goodness if lower <= goodness.test.chi2 <= upper else None
 
 
 def _optimum(problem: SlamProblem) -> float:
@@ -163,7 +176,7 @@ def _of_another_frame(
         return _optimum(moved(frame))
 
     frame = mount(closed.first, closed.second, closed.motion, moved_on)
-    if _fitted(moved(frame), (0.0, _NEAR * test.chi2), test) is None:
+    if _solved(moved(frame), (0.0, _NEAR * test.chi2)) is None:
         return
     from scipy.optimize import minimize  # takes long to load, and is rarely needed
 

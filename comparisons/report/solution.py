@@ -66,7 +66,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
-        too_large = ", sigmas too large" if overstated(test) else ""
+        too_large = ", sigmas too large" if overstated(test) and not self.found.misread else ""
         return Summary(
             headline=f"verdict: {result.headline}{too_large}",
             look=result.look,

@@ -260,7 +260,7 @@ def test_positions_that_contradict_have_an_exit_code() -> None:
         assert verdict.outcome == "agree"
         assert (CONTRADICTED in verdict.qualifiers) is wrong
         assert verdict.failed_on == (("positions",) if wrong else ())
-        assert [one.gap for one in verdict.causes] == (["unused positions"] if wrong else [])
+        assert [one.gap for one in verdict.causes] == (["contradiction"] if wrong else [])
         assert not any("sigma" in one.hint for one in verdict.causes)
 
 
