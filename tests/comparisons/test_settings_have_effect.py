@@ -169,7 +169,7 @@ def another(kind: type[Section], name: str, given: Mapping[str, Any]) -> Section
     words = choices_of(kind.model_fields[name].annotation)
     values = [True, False, *words, *((word,) for word in words)]
     values += [0.9 * now, now + 1, now - 1] if number else []
-    for value in (*values, 0.4, 3, {}, "other", ("other",)):
+    for value in (*values, 0.4, 3, {}, "other", ("other",), (1.0, 2.0, 3.0)):
         try:
             found = kind.of(**{**given, name: value})
         except InputError:
