@@ -84,6 +84,18 @@ class Section(BaseModel):
         return tomli_w.dumps(_without_none(self.model_dump(mode="python")))
 
 
+def _pose(value: Any) -> Any:
+    """Three numbers with commas between them, as a command line gives them."""
+    parts = value.split(",") if isinstance(value, str) else value
+    try:
+        found = None if parts is None else tuple(float(part) for part in parts)
+    except (TypeError, ValueError):
+        found = ()
+    if found is not None and not (len(found) == 3 and all(abs(one) <= 1e10 for one in found)):
+        raise ValueError(f"prior_pose is {quoted(value)}: expected x,y,heading in m and rad")
+    return found
+
+
 class LogSection(Section):
     """The log: which one is read, and how."""
 
@@ -157,6 +169,23 @@ class LogSection(Section):
         gt=0.0,
         le=1e6,
         allow_inf_nan=False,
+    )
+    prior_pose: Annotated[tuple[float, float, float] | None, BeforeValidator(_pose)] = setting(
+        None,
+        "Pose x [m], y [m], heading [rad] that the log starts from. Default: as the log has it",
+        Option("--prior-pose", JOB, "Start pose. [the log's]", metavar="X,Y,RAD", text=True),
+    )
+    align: bool | None = setting(
+        None,
+        "Lay truth onto the start of the log by its first pose there, and with check the estimate: "
+        "their frame is another",
+        Option(
+            "--align",
+            JOB,
+            "Lay truth, and an estimate without trace, onto the log's start pose: their frame is "
+            "another.",
+            jobs=("run", "check"),
+        ),
     )
     sha256: str | None = setting(
         None, "SHA-256 of the log. A log with another hash is refused without --allow-changed-log"

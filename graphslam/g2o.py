@@ -18,11 +18,11 @@ import bz2
 import gzip
 import math
 import zlib
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -353,13 +353,20 @@ def _vertices(edges: tuple[Index, Index, Array], covariance: Array, poses: Array
 @contextmanager
 def _opened(path: Path) -> Iterator[Iterator[str]]:
     """Lines of a file, unpacked where its suffix says so. Raises ValueError for a damaged one."""
-    openers: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open}
-    opener = openers.get(path.suffix.lower(), open)
     try:
-        with opener(path, "rt", encoding="utf-8", errors="replace") as file:
+        with _text_of(path) as file:
             yield _bounded(path, file)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise ValueError(f"{path}: damaged gzip or bzip2 file ({error})") from None
+
+
+def _text_of(path: Path) -> IO[str]:
+    suffix = path.suffix.lower()
+    if suffix == ".gz":
+        return gzip.open(path, "rt", encoding="utf-8", errors="replace")
+    if suffix == ".bz2":
+        return bz2.open(path, "rt", encoding="utf-8", errors="replace")
+    return path.open(encoding="utf-8", errors="replace")
 
 
 def _bounded(path: Path, file: Iterable[str]) -> Iterator[str]:

@@ -70,6 +70,8 @@ _REMEMBERED = 64
 """Events before a snapshot whose matrices may have been used in place of a later one's."""
 _SMALL = 0.01
 """A correction, in radians, below which a reset may as well be the identity."""
+_MOST_TIED = 3
+"""Errors that explain a snapshot alike, and are named."""
 _SINGLE = 1e-3
 """Sigmas of what rounding leaves of covariances in single precision."""
 _OF_DOUBLE, _OF_SINGLE = 1e-9, 2.0**-23
@@ -81,7 +83,7 @@ _SLIGHT = 1e-3
 """Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
-_ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-7
+_ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-5
 """Of the variance before an update: what is left by one that tells nearly all; of what cancels in
 it, what is left by one that tells all, and the unit in which that is measured, for it is rounding.
 """
@@ -97,8 +99,8 @@ class Finding:
     """What the audit found.
 
     Attributes:
-        check: noise, algebra, covariance, correction, gain, precision, innovations, smoother, nees
-            or spurious.
+        check: noise, use, algebra, covariance, correction, gain, precision, innovations, smoother,
+            nees or spurious.
         fault: whether it makes the trace faulty; what is only named does not.
         text: the finding as a sentence.
         event: number of the event where it is first seen.
@@ -295,9 +297,9 @@ class AlgebraCheck:
             kind = one.kind if what == one.what and one.kind else what
             self._pending.append((finding, kind))
         if unlike:
-            self._growth(event, before, fused)
+            self._growth(event, before)
 
-    def _growth(self, event: Update, before: Array, fused: Fused) -> None:
+    def _growth(self, event: Update, before: Array) -> None:
         """Name a gain by which an update makes the estimate less certain. before: P before it.
 
         What a correction leaves of the error of what is measured is I - H K: where an eigenvalue
@@ -365,8 +367,8 @@ class AlgebraCheck:
         wrong = self._differs(recorded, right, least)
         if wrong and self._start is not None:
             wrong = self._differs_from_before(self._start, recorded, at, least)
-        if self._open and self._is_of_other_gains(recorded):
-            wrong = False
+        if self._open:
+            wrong = self._is_wrong_for_any_gain(recorded, least, wrong)
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
             slight = bool(apart(recorded, right, least).max() < _SLIGHT)
             wrong = self._localise(snapshot, -1.0 if slight else 0.0)
@@ -470,6 +472,28 @@ class AlgebraCheck:
         return self._start is not None and all(
             len(update.residual) == 1 or number == last for number, update in self._open.items()
         )
+
+    def _is_wrong_for_any_gain(self, recorded: Array, least: Array | None, wrong: bool) -> bool:
+        """Whether a snapshot of all is wrong whatever the gains that are not recorded.
+
+        wrong: it is so for Kalman's.
+        """
+        if self._is_of_other_gains(recorded):
+            return False
+        if not wrong and self._is_indifferent(recorded, least):
+            self._note_gains(_UNTOLD)
+        return wrong
+
+    def _is_indifferent(self, recorded: Array, least: Array | None) -> bool:
+        """Whether a snapshot of all is the same without updates whose gains are not recorded."""
+        if self._start is None:
+            return True
+        again = self._start.copy()
+        with np.errstate(all="ignore"):
+            for event in self._kept:
+                if event.number not in self._open:
+                    again.apply(event)
+        return not self._differs(recorded, again.covariance, least)
 
     def _is_of_other_gains(self, recorded: Array) -> bool:
         """Whether a snapshot of all is that of gains which are told by their corrections alone.
@@ -639,7 +663,8 @@ class AlgebraCheck:
             self._invalid(snapshot)
             return True
         start = self._remembering(self._start)
-        cause = localise(start, self._kept, snapshot, self.tolerance, self._known)
+        least = self._least(snapshot.blocks)
+        cause = localise(start, self._kept, snapshot, self.tolerance, self._known, least)
         if cause.kind not in self._known:
             self._searched += 1
         if self._open and not self._tells_gains() and not self._is_of_open(cause):
@@ -790,26 +815,27 @@ class Cause(NamedTuple):
 
 
 def name_of(event: Event) -> str:
-    """Return what an event is called: "update 12 of sensor `gps`"."""
+    """Return what an event is called: "event 12 (update of sensor `gps`)"."""
     match event:
         case Update():
-            return f"update {event.number} of sensor `{event.sensor}`"
+            what = f"update of sensor `{event.sensor}`"
         case Augment():
-            return f"augmentation {event.number} by block `{event.name}`"
+            what = f"augmentation by block `{event.name}`"
         case Clone():
-            return f"clone {event.number} of block `{event.source}`"
+            what = f"clone of block `{event.source}`"
         case Predict() if not event.jacobian.any():
-            return f"renewal {event.number} of {', '.join(f'`{b}`' for b in event.blocks)}"
+            what = f"renewal of {', '.join(f'`{b}`' for b in event.blocks)}"
         case Predict():
-            return f"prediction {event.number}"
+            what = "prediction"
         case Remove():
-            return f"removal {event.number} of {', '.join(f'`{b}`' for b in event.blocks)}"
+            what = f"removal of {', '.join(f'`{b}`' for b in event.blocks)}"
         case Reset():
-            return f"reset {event.number}"
+            what = "reset"
         case Prior():
             return "the prior"
         case Snapshot() | Directions():
             return f"event {event.number}"
+    return f"event {event.number} ({what})"
 
 
 def localise(
@@ -818,6 +844,7 @@ def localise(
     snapshot: Snapshot,
     tolerance: float,
     before: Collection[str] = (),
+    least: Array | None = None,
 ) -> Cause:
     """Return the cause of a snapshot that is not as the events before it say.
 
@@ -827,6 +854,7 @@ def localise(
         snapshot: The wrong one.
         tolerance: What rounding explains, in sigmas.
         before: Kinds of errors that explained earlier ones; they are tried first.
+        least: (n,) variances that are rounding.
     """
     changing = [e for e in events if not isinstance(e, Snapshot | Directions | Prior)]
     plain = start.copy()
@@ -834,12 +862,13 @@ def localise(
         plain.apply(event)
     at = plain.layout.columns(snapshot.blocks)
     right = plain.covariance[at][:, at]
-    scaled = apart(snapshot.covariance, right)
+    scaled = apart(snapshot.covariance, right, least)
     dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     largest = float(scaled.max())
     allowed = max(tolerance, _SHARE * min(largest, 1.0)) if largest > tolerance else _PART * largest
     wrong = _wrong(scaled, snapshot.blocks, dims, allowed) if len(changing) == 1 else None
-    search = _Search(start, changing, snapshot, allowed, wrong)
+    unit = units(snapshot.covariance, snapshot.covariance, least)
+    search = _Search(start, changing, snapshot, allowed, wrong, unit)
     for only in (before, None) if before else (None,):
         found = search.run(only)
         if found is not None:
@@ -868,8 +897,10 @@ class _Search:
         snapshot: Snapshot,
         allowed: float,
         wrong: Blocks | None,
+        unit: Array,
     ) -> None:
-        """wrong: blocks that a single event has left wrong."""
+        """wrong: blocks that a single event has left wrong. unit: (n,) of differences."""
+        self.scale = np.outer(unit, unit)
         self.start, self.events, self.snapshot = start, events, snapshot
         self.allowed, self.wrong = allowed, wrong
         self.left = 0
@@ -894,17 +925,19 @@ class _Search:
         self.left = MOST_REPLAYED // 4
         fits: list[tuple[int, Cause]] = []
         for before, at, fault, repeated in self._tries(only, fitted=fitted, from_first=from_first):
-            if fits and fits[0][1].event is not self.events[at]:
+            if fits and (fits[0][1].event is not self.events[at] or fault.general):
                 break
             found = self._explains(before, at, fault, repeated)
             if found is not None:
                 fits.append(found)
-                if not fitted:
+                if fault.general:
                     break
             if self.left < 0:
                 break
         if not fits:
             return None
+        if not fitted:
+            return _tied([cause for _, cause in fits])
         count, simplest = min(fits, key=lambda one: one[0])
         # Any number explains what other numbers explain as well: it is told by being plain.
         told = count <= PLAIN or all(one.kind == simplest.kind for _, one in fits)
@@ -1004,8 +1037,7 @@ class _Search:
         expected, recorded = replay.covariance[columns][:, columns], self.snapshot.covariance
         if not np.isfinite(expected).all():
             return None
-        unit = units(recorded, recorded)
-        scaled, right = ((p / np.outer(unit, unit)) for p in (recorded, expected))
+        scaled, right = (p / self.scale for p in (recorded, expected))
         if float(np.abs(right - right.T).max()) > self.allowed:
             scaled, right = 0.5 * (scaled + scaled.T), 0.5 * (right + right.T)
         return scaled - right
@@ -1016,6 +1048,14 @@ def _wrong(scaled: Array, blocks: Blocks, dims: tuple[int, ...], allowed: float)
     entries = ~(scaled.max(axis=1) <= allowed) | ~(scaled.max(axis=0) <= allowed)
     parts = np.split(entries, np.cumsum(dims)[:-1])
     return tuple(name for name, off in zip(blocks, parts, strict=True) if off.any())
+
+
+def _tied(causes: Sequence[Cause]) -> Cause:
+    """Return the first of causes that all explain a snapshot, with the others in its words."""
+    first = causes[0]
+    others = [one.what for one in causes[1:] if one.repeated == first.repeated]
+    others = [what for what in dict.fromkeys(others) if what != first.what][: _MOST_TIED - 1]
+    return first._replace(what=", or ".join((first.what, *others)))
 
 
 def _same(event: Event, other: Event) -> bool:

@@ -8,7 +8,7 @@ inverse, that of another event, or with a block, a row or a column of it lost.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import combinations, permutations
 from typing import Any
@@ -46,7 +46,8 @@ class KnownFault:
 
     apply: does the event so, and any that is like it. number: of a family of errors, the one with
     a number, which stands in `what` as {}; neutral: that of no error. kind: of errors that differ
-    by a number; else it is what they are.
+    by a number; else it is what they are. general: it says which part of the covariance is wrong,
+    not how it became so.
     """
 
     what: str
@@ -57,6 +58,7 @@ class KnownFault:
     number: Callable[[float], Apply] | None = None
     neutral: float = 1.0
     kind: str = ""
+    general: bool = False
 
     def member(self, number: float) -> KnownFault:
         """The error of the family with a number."""
@@ -186,8 +188,8 @@ def known_faults(
             yield from _of_motion(event, replay)
         case _:
             return
-    yield from _of_pairs(event, replay, wrong)
-    yield from _of_whole(event, replay)
+    for one in (*_of_pairs(event, replay, wrong), *_of_whole(event, replay)):
+        yield replace(one, general=True)
 
 
 def families(event: Event) -> Iterator[KnownFault]:

@@ -39,7 +39,6 @@ _FAR = float(chi2_quantile(1.0 - _OUTSIDE, 2)) ** 0.5
 """Sigma beyond which a residual counts as so far, where their correlation is asked for."""
 _FEWEST = 5
 """Positions; of fewer, the middle one says nothing."""
-KIND = "contradiction"
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class UnusedPositions:
             return None
         fit = f"; they fit {self.fit}" if self.fit else ""
         return Cause(
-            KIND,
+            "contradiction",
             f"{self.count} positions that nobody has used contradict the smoother's optimum: the "
             f"RMS distance is {self.error_m:.2g} m, and the middle one of their squared residuals "
             f"{self.middle:.3g}, expected {chi2_quantile(0.5, 2):.3g}, limit {self.limit:.3g} for "
@@ -106,7 +105,7 @@ class CheckUnusedPositions(Check):
     needs = "absolute positions that no estimator has used"
     errs = "1 of 1,000 sound runs, whose positions may have errors that last"
     explains: ClassVar = {
-        KIND: Explanation(
+        "contradiction": Explanation(
             "Positions that nobody has used contradict the optimum",
             "The log has absolute positions that neither filter nor smoother was given, and they "
             "lie farther from the smoother's optimum than the covariances of both explain. The "

@@ -97,8 +97,9 @@ def convert(log: str, folder: Path, **given: Any) -> None:
         write_log_folder(source, folder)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
         typer.echo(f"{folder}: {records}")
-        for key in ("odometry", "times", "edges", "frame", "passed over", "left_out"):
-            if key in source.provenance:
+        said = ("scans", "passed over", "passed_over", "lines_passed_over", "left_out")
+        for key in ("odometry", "times", "edges", "frame", *said):
+            if source.provenance.get(key):
                 typer.echo(f"{key.replace('_', ' ')}: {source.provenance[key]}")
 
 

@@ -45,6 +45,11 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
         "COLUMN=UNIT",
         "Unit where a header names none, as bearing=deg or truth:yaw=deg; repeatable.",
     ),
+    "column": (
+        list[str],
+        "COLUMN=HEADER",
+        "Which header has a column, as time=stamp_unix_ns or truth:yaw=psi; repeatable.",
+    ),
     "imu": (_File, "FILE", "Yaw rates, in place of the odometry's."),
 }
 
@@ -54,7 +59,7 @@ def new_log(folder: Path, **given: Any) -> None:
 
     Columns, in any order: time, v, omega (or steering; x, y, yaw; dx, dy, dyaw) and time, range,
     bearing, label; or a ROS message's fields, as any tool exports them. Units: SI and radians, or
-    in the header: bearing_deg, t_ns, range_mm, v_kmh. A sigma has its column's unit, or its own:
+    in the header: bearing_deg, t_ns, range_mm, v_kmh. A sigma is in SI, or has a unit of its own:
     0.5deg, 5cm.
 
     \b
@@ -72,7 +77,8 @@ def new_log(folder: Path, **given: Any) -> None:
         from comparisons.logs.new_log import OPTIONS, UserFiles, build
 
         check_replaceable(folder)
-        units = _units(given["unit"] or ())
+        units = _pairs("--unit", given["unit"] or (), "COLUMN=UNIT, as bearing=deg")
+        columns = _pairs("--column", given["column"] or (), "COLUMN=HEADER, as time=stamp_unix_ns")
         stated = {
             column: value
             for column, option in OPTIONS.items()
@@ -82,9 +88,10 @@ def new_log(folder: Path, **given: Any) -> None:
         files = UserFiles(
             name=folder.resolve().name,
             stated=stated,
-            truth=None if truth is None else partial(_read_truth, truth, units),
+            truth=None if truth is None else partial(_read_truth, truth, units, columns),
             prior_pose=_pose(given["prior_pose"]),
             units=units,
+            columns=columns,
             **{name: given[name] for name in ("odometry", "measurements", "positions")},
             **{name: given[name] for name in ("truth_landmarks", "kind", "imu")},
         )
@@ -104,22 +111,24 @@ def new_log(folder: Path, **given: Any) -> None:
         typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
 
 
-def _units(given: Sequence[str]) -> dict[str, str]:
-    """Units by column, of `COLUMN=UNIT` and `STREAM:COLUMN=UNIT`."""
+def _pairs(option: str, given: Sequence[str], expected: str) -> dict[str, str]:
+    """What a repeatable option says, of `COLUMN=VALUE` and `STREAM:COLUMN=VALUE`."""
     found = {}
     for text in given:
-        column, equals, unit = text.rpartition("=")
-        if not (equals and column and unit):
-            raise InputError(f"--unit is '{shorten(text)}', expected COLUMN=UNIT, as bearing=deg")
-        found[column] = unit
+        column, equals, value = text.partition("=")
+        if not (equals and column and value):
+            raise InputError(f"{option} is '{shorten(text)}', expected {expected}")
+        found[column] = value
     return found
 
 
-def _read_truth(path: Path, units: dict[str, str], start_s: int) -> PlainTable:
+def _read_truth(
+    path: Path, units: dict[str, str], columns: dict[str, str], start_s: int
+) -> PlainTable:
     """Poses of a CSV file with a header, or of a file of numbers alone (TUM), after a start."""
     from comparisons.estimates.trajectory_files import read_trajectory_file
     from comparisons.logs.from_arrays import KINDS
-    from comparisons.logs.new_log import units_of
+    from comparisons.logs.new_log import column_options
     from comparisons.logs.plain_csv import PlainTable, read_plain
     from comparisons.logs.stamps import after_ns
     from comparisons.logs.table import read_text
@@ -127,16 +136,17 @@ def _read_truth(path: Path, units: dict[str, str], start_s: int) -> PlainTable:
     names = ("time_s", *KINDS["poses"])
     lines = [line for line in read_text(path).splitlines() if line.strip() and line[0] != "#"]
     if not lines or not lines[0].split()[0][:1].isdigit():
-        return read_plain(path, names, units=units_of(units, "truth"), start_s=start_s)
+        options = column_options(units, columns, "truth")
+        return read_plain(path, names, options=options, start_s=start_s)
     found = read_trajectory_file(path)
     if found.left_out:
         typer.echo(found.left_out)
     time_s = found.time_s - start_s
     if found.time_ns is not None:
         time_s = after_ns(found.time_ns, Decimal(start_s))
-    columns = dict(zip(names, (time_s, *found.pose.T), strict=True))
+    values = dict(zip(names, (time_s, *found.pose.T), strict=True))
     line = list(range(1, len(found.time_s) + 1))
-    return PlainTable(path=path, columns=columns, line=line, origin={}, headers=[])
+    return PlainTable(path=path, columns=values, line=line, origin={}, headers=[])
 
 
 def _pose(text: str | None) -> tuple[float, float, float] | None:

@@ -277,10 +277,15 @@ class _Search:
 
     def best(self) -> _Try:
         """Return the nearest, by order of updates and first measurements, and then by gate."""
-        best = max(self._firsts(), key=lambda one: one.rank)
-        if best.rank[1]:
-            return best
-        return max([best, *self._gates(best)], key=lambda one: one.rank)
+        tries = sorted(self._firsts(), key=lambda one: one.rank, reverse=True)
+        best = tries[0]
+        farthest_s = max(one.reached_s for one in tries)
+        for one in () if best.rank[1] else tries:
+            if one is tries[0] or one.reached_s == farthest_s:
+                best = max([best, *self._gates(one)], key=lambda gated: gated.rank)
+            if best.rank[1]:
+                break
+        return best
 
     def _firsts(self) -> Iterator[_Try]:
         for first in range(_MOST_FIRST):

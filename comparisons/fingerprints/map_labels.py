@@ -1,7 +1,7 @@
 """Which landmark of an estimate's map each measurement of a log without labels is of.
 
 A filter may use measurements that the references, which associate on their own, find ambiguous.
-Where its map says what they are of, and the smoother's own association agrees, they become labels.
+Where its map says what they are of, they become labels, if the optimum by these is plausible.
 """
 
 from __future__ import annotations
@@ -11,9 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
+from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements
+from comparisons.statistics import chi2_quantile
+from graphslam.optimum import Optimality
 
 _MOST_SIGMA = 5.0
 """A measurement of a landmark leads to no place farther from it."""
@@ -21,6 +25,12 @@ _CLEARLY = 0.5
 """Share of the distance to the next landmark that the nearest may have."""
 _MOST_UNCLEAR = 0.1
 """Share of measurements that may be near none, or near two."""
+
+_PLAUSIBLE = 0.999
+"""Share of right associations whose optimum, and whose pair of landmarks, is within its band."""
+
+_NEIGHBOURS = 4
+"""A landmark, and those nearest to it that it is compared with."""
 
 
 class MapLabels(NamedTuple):
@@ -35,9 +45,8 @@ class MapLabels(NamedTuple):
     def said(self) -> str:
         """Return it as a remark."""
         return (
-            f"the log names no landmarks; by the estimate's map {self.by_map} of "
-            f"{len(self.label)} measurements are of one landmark, as in the smoother's own "
-            "association; references and smoother take them for labels"
+            f"the log names no landmarks; the estimate's map tells those of {self.by_map} of "
+            f"{len(self.label)} measurements, and references and smoother take them for labels"
         )
 
 
@@ -45,45 +54,61 @@ def map_labels(given: ExternalEstimate, seen: LandmarkMeasurements, own: Index) 
     """Return the labels that an estimate's map implies.
 
     given: with poses at the measurements' times. own: (M,) landmark indices of the smoother's own
-    association, negative where unused. None where there are no such poses, where the map leaves
-    many measurements open, or where it joins or parts what the smoother's association does not.
+    association, negative where unused, which tells what is of a landmark that the map lacks. None
+    where there are no such poses, or where the map leaves many measurements open.
     """
-    near = _nearest(given, seen)
-    if near is None or np.count_nonzero(near < 0) > _MOST_UNCLEAR * len(near):
+    near, names = _nearest(given, seen), given.landmark_id
+    if near is None or names is None or np.count_nonzero(near < 0) > _MOST_UNCLEAR * len(near):
         return None
-    both = (near >= 0) & (own >= 0)
-    pairs = np.unique(np.column_stack((own[both], near[both])), axis=0)
-    if any(len(np.unique(column)) < len(pairs) for column in pairs.T):
-        return None
-    names = given.landmark_id
-    if names is None:
-        return None
-    free = int(max(names.max(initial=0), 0)) + 1
-    label_of = {k: free + k for k in np.unique(own[own >= 0]).tolist()}
-    label_of |= {k: int(names[row]) for k, row in pairs.tolist()}
     label = np.full(len(near), NO_LANDMARK, dtype=np.int64)
     label[near >= 0] = names[near[near >= 0]]
-    rest = np.flatnonzero((near < 0) & (own >= 0))
-    label[rest] = [label_of[k] for k in own[rest].tolist()]
+    lacking = (near < 0) & (own >= 0) & ~np.isin(own, own[near >= 0])
+    label[lacking] = int(names.max()) + 1 + own[lacking]
     return MapLabels(label, int(np.count_nonzero(near >= 0)))
+
+
+def plausible(optimum: Optimality, estimate: Estimate) -> bool:
+    """Whether an association's optimum is: its residuals are, and no two landmarks are the same."""
+    fit = optimum.chi_square
+    if not optimum.verified or fit.chi2 > chi2_quantile(_PLAUSIBLE, fit.dof):
+        return False
+    place, count = estimate.landmark, len(estimate.landmark)
+    if count < 2:
+        return True
+    near = _neighbours(place, place, min(_NEIGHBOURS, count))[1][:, 1:]
+    first, second = np.repeat(np.arange(count), near.shape[1]), near.ravel()
+    points = slice(3, 3 + place.size)
+    p = estimate.joint_covariance[points, points].reshape(count, 2, count, 2).swapaxes(1, 2)
+    own, across = p[np.arange(count), np.arange(count)], p[first, second]
+    spread = own[first] + own[second] - across - across.transpose(0, 2, 1)
+    off = place[first] - place[second]
+    squared = np.einsum("ki,ki->k", off, np.linalg.solve(spread, off[:, :, None])[:, :, 0])
+    return bool((squared > chi2_quantile(_PLAUSIBLE, 2)).all())
 
 
 def _nearest(given: ExternalEstimate, seen: LandmarkMeasurements) -> Index | None:
     """The row (M,) of the map's landmark that each measurement leads to, -1 if to none or two."""
     if given.landmark is None or len(given.landmark) < 2:
         return None
-    at = np.minimum(np.searchsorted(given.time_s, seen.time_s), len(given.time_s) - 1)
-    if (given.time_s[at] != seen.time_s).any():
+    at = np.minimum(np.searchsorted(given.time_s, seen.time_s - CLOCK_S), len(given.time_s) - 1)
+    if (np.abs(given.time_s[at] - seen.time_s) > CLOCK_S).any():
         return None
     pose, r = given.pose[at], seen.range_m
     along = pose[:, 2] + seen.bearing_rad
     place = pose[:, :2] + r[:, None] * np.column_stack((np.cos(along), np.sin(along)))
-    apart = np.linalg.norm(place[:, None] - given.landmark, axis=2)
-    order = np.argsort(apart, axis=1)[:, :2]
-    first, second = np.take_along_axis(apart, order, axis=1).T
+    apart, order = _neighbours(given.landmark, place, 2)
+    first, second = apart.T
     clear = (first < _CLEARLY * second) & (first < _MOST_SIGMA * _sigma(given, seen, at, order))
     found: Index = np.where(clear, order[:, 0], -1)
     return found
+
+
+def _neighbours(places: Array, of: Array, count: int) -> tuple[Array, Index]:
+    """Distances (M, count) from points (M, 2) to the nearest places, and which these are."""
+    from scipy.spatial import cKDTree
+
+    distance, row = cKDTree(places).query(of, k=count)
+    return distance, row
 
 
 def _sigma(given: ExternalEstimate, seen: LandmarkMeasurements, at: Index, order: Index) -> Array:

@@ -141,7 +141,12 @@ def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:
     """Return the faults that explain an estimate as a cause, the first two. sound: as above."""
     first, *rest = known
     if first.exact:
-        until = "" if first.until_s is None else f" until it diverges at {first.until_s:.2f} s"
+        until = ""
+        if first.until_s is not None:
+            until = (
+                f" over {100.0 * first.share:.0f} % of the time, until both diverge at "
+                f"{first.until_s:.2f} s"
+            )
         way = f"; {first.way}" if first.way else ""
         these = "these faults" if first.several else "this fault"
         return Cause(

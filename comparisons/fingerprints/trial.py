@@ -28,6 +28,9 @@ from ekf_reference.core.ekf import Ekf
 _DIVERGED = 1.0
 """A filter with a fault that reproduces the estimate until the sound one is so many sigma off has
 this fault, whatever becomes of it: where a filter diverges, rounding grows."""
+LEAST_SHARE = 0.5
+"""Of the estimate's time that a filter with a fault must reproduce before it diverges: what parts
+sooner is no explanation of the rest."""
 _POSES = 10
 """A number is fitted to the poses until the sound filter leaves the estimate, and so many more."""
 _BESIDE = 2
@@ -43,8 +46,8 @@ class Fingerprint(NamedTuple):
 
     fault: in words. way: how else the filter differs from the reference EKF, in words. sigma: the
     largest difference that is left. exact: none but rounding is. until_s: when the filter with the
-    fault, diverging, leaves the estimate or breaks down; None where it does not. several: whether
-    it is several faults at once.
+    fault, diverging, leaves the estimate or breaks down; None where it does not. share: of the
+    estimate's time until then. several: whether it is several faults at once.
     """
 
     fault: str
@@ -53,6 +56,7 @@ class Fingerprint(NamedTuple):
     exact: bool
     until_s: float | None = None
     several: bool = False
+    share: float = 1.0
 
     @property
     def whole(self) -> bool:
@@ -152,11 +156,18 @@ class Trial:
                 return None  # a fault without effect
             return Fingerprint(fault.what, self.way.words, near.farthest, exact=True)
         # Equal so long: then rounding grows, or it breaks down.
-        lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED
+        begin_s, end_s = self.given.time_s[[0, -1]]
+        share = float((beside.last_s - begin_s) / (end_s - begin_s)) if end_s > begin_s else 0.0
+        lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED and share >= LEAST_SHARE
         if lasted and self._wrong_without(beside.last_s):
-            until_s = beside.last_s if beside.last_s < self.given.time_s[-1] else None
+            until_s = beside.last_s if beside.last_s < end_s else None
             return Fingerprint(
-                fault.what, self.way.words, beside.farthest, exact=True, until_s=until_s
+                fault.what,
+                self.way.words,
+                beside.farthest,
+                exact=True,
+                until_s=until_s,
+                share=share,
             )
         if near is None or not near.farthest <= (1.0 - EXPLAINED) * self.sound.farthest:
             return None

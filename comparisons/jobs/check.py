@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.agreement import Allowed, Gap
+from comparisons.checks.algebra import HINT as ALGEBRA_HINT
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.checks.diagnosis.alignment import laid_at_start
 from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
@@ -26,6 +30,7 @@ from comparisons.checks.diagnosis.diagnosis import (
     frame_at_start,
     simplest_motion,
 )
+from comparisons.checks.diagnosis.duplicate_landmarks import duplicate_cause, duplicates
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts, paths_beside, undone
 from comparisons.checks.diagnosis.model_differences import PREDICTIONS
 from comparisons.checks.external_agreement import (
@@ -45,6 +50,7 @@ from comparisons.checks.grade import (
     Part,
     likeness,
 )
+from comparisons.checks.model import HINT as MODEL_HINT
 from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
@@ -76,7 +82,7 @@ from comparisons.fingerprints.estimate_motion import (
     integrations_by_steps,
     integrations_of,
 )
-from comparisons.fingerprints.map_labels import map_labels
+from comparisons.fingerprints.map_labels import map_labels, plausible
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
@@ -109,6 +115,9 @@ if TYPE_CHECKING:
 
 _HOPELESS_SIGMA = 30.0
 """So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
+
+_EXACT_SHARE = 0.2
+"""Share of one measurement's sigmas below which a start is exact."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -146,6 +155,8 @@ class ExternalCheck(Shown):
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
         log: As it was read, where the solution's has other integration or times.
+        reproduced: A filter with the fault that is the first cause equals all of it, so that its
+            other figures follow from that.
         grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
         outcome: `agree`, `disagree` or `unverified`.
         causes: Why the grade is not higher, the most important first.
@@ -173,6 +184,7 @@ class ExternalCheck(Shown):
     departure: Departure | None = None
     consequences: tuple[str, ...] = ()
     log: Log | None = None
+    reproduced: bool = False
 
     def __repr__(self) -> str:
         """Return log, outcome, grade and the causes' names in one line."""
@@ -249,6 +261,7 @@ def check(
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
     given = with_removed(given.numbered_as(log.labels), log)
+    given, aligned = job.aligned(given)
     job, found = job.clocked(given)
     job = replace(job, log=_selected(job.log, found))
     unsound = given.trace is not None and given.trace.unsound
@@ -259,6 +272,8 @@ def check(
     instants_s = found.solution.prepared.timeline.instants_s()
     if said := rounded(given.time_s, on_file_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
+    if aligned:
+        found = replace(found, remarks=(aligned, *found.remarks))
     return _qualified(replace(found, log=log))
 
 
@@ -266,8 +281,12 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
     """Say what a reader of the outcome must know as well, by what the checks find."""
     known = found.known
     verdict = Verdict(outcome=found.outcome, causes=found.causes, remarks=found.remarks)
+    consistency, beside = known.value(ConsistencyFinding), known.remarks
+    if found.reproduced and consistency is not None and consistency.remarks:
+        beside = [one for one in beside if one not in consistency.remarks]
+        found = replace(found, consequences=(*found.consequences, "consistency"))
     judged = qualified(
-        replace(verdict, remarks=(*found.remarks, *known.remarks)),
+        replace(verdict, remarks=(*found.remarks, *beside)),
         known.value(TruthGapFinding),
         unchecked="",
         consistency=known.value(ConsistencyFinding),
@@ -296,6 +315,13 @@ class _Job:
     def own(self) -> Solution:
         """The smoother's, by the log's own integration."""
         return self.solver(self.log, self.config, self.progress)
+
+    def aligned(self, given: ExternalEstimate) -> tuple[ExternalEstimate, str]:
+        """The estimate in the log's frame where that is asked for, and how it was moved."""
+        if not self.config.log.align:
+            return given, ""
+        instants_s = prepare_solve(self.log, self.config).timeline.instants_s()
+        return laid_at_start(given, on_log_clock(given, self.log, instants_s).time_s, self.log)
 
     def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
@@ -399,8 +425,10 @@ class _Job:
         if implied is None:
             return None
         log = labelled_as(solution.log, implied.label)
-        given = with_removed(first.given, log)
-        again = self._graded(given, self.solver(log, self.config, self.progress))
+        other = self.solver(log, self.config, self.progress)
+        if not plausible(other.result.optimality, other.estimate):
+            return None
+        again = self._graded(with_removed(first.given, log), other)
         found = again if again.outcome == "agree" else self.selected(again)
         return found and _saying(implied.said(), found)
 
@@ -458,7 +486,8 @@ class _Job:
             equal = "equals" if found.grade.value == "equal" else "is like"
             then = f"the estimate {equal} {near.reference.name} ({near.farthest:.2g} sigma)"
         said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
-        return replace(first, causes=(said, *found.causes), remarks=found.remarks)
+        causes = (said, *found.causes)
+        return replace(first, causes=causes, remarks=found.remarks, reproduced=found.reproduced)
 
 
 def _selected(log: Log, found: ExternalCheck) -> Log:
@@ -484,7 +513,7 @@ def _with_departure(found: ExternalCheck) -> ExternalCheck:
         left = departure_from(inside, sound, prepared.log, prepared.timeline)
     if left is None:
         return found
-    said = [] if found.outcome == "agree" else [str(left)]
+    said = [] if found.outcome == "agree" else [left.briefly if found.reproduced else str(left)]
     return replace(found, departure=left, remarks=(*said, *found.remarks))
 
 
@@ -505,27 +534,38 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         return None
     if said := _without_effect(known[0], sound, found):
         return _sound(_saying(said, found), sound, "like")
-    others, follow = found.causes, tuple[str, ...]()
-    if known[0].exact:
+    first, others, follow = known[0], found.causes, tuple[str, ...]()
+    if first.exact:
         others = tuple(one for one in others if one.gap in FILTER_FAULTS)
-    if known[0].whole:  # the same poses, landmarks and covariances, so all that differs from sound
+    if first.whole:  # the same poses, landmarks and covariances, so all that differs from sound
+        others = tuple(_following(one) for one in others)
         follow = tuple(one.gap for one in found.causes if one.gap in ("estimate", "covariance"))
-    return replace(found, causes=(fault_cause(known, sound), *others), consequences=follow)
+    causes = (fault_cause(known, sound), *others)
+    return replace(found, causes=causes, consequences=follow, reproduced=first.whole)
+
+
+def _following(found: Cause) -> Cause:
+    """A trace's cause beside the fault that explains it: what the trace itself shows stays."""
+    general = found.hint.startswith((ALGEBRA_HINT, MODEL_HINT))
+    return found if not general else replace(found, hint="a consequence of the fault above")
 
 
 def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -> str:
     """Say that an estimate differs from a sound one by a setting that changes nothing in the end.
 
     "" for what is no setting of the filter's start and noise, and where it changes the last pose or
-    the map, or the trace differs from the models in more.
+    the map, or the trace differs from the models in more. Where both starts are exact beside what
+    one measurement tells, covariances may differ, which they make those of another frame.
     """
-    if not (known.whole and is_setting(known.fault)) or sound.missing or sound.unmapped:
+    alone = known.whole and not known.several and is_setting(known.fault)
+    if not alone or sound.missing or sound.unmapped:
         return ""
     if found.trace is not None and not _of_settings(found.trace):
         return ""
     poses, *others = sound.parts
     last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
-    if not all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in (last, *others)):
+    variance = np.inf if _both_exact(found) else LIKE_VARIANCE
+    if not all(part.within(LIKE_SIGMA, variance) for part in (last, *others)):
         return ""
     ends = replace(sound, parts=(last, *others))
     low, high = ends.variances or (1.0, 1.0)
@@ -534,6 +574,20 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
         f"({known.sigma:.1g} sigma); without it the last pose and the map differ by at most "
         f"{ends.sigma:.2g} sigma, and by variances of {low:.3g} to {high:.3g} times"
     )
+
+
+def _both_exact(found: ExternalCheck) -> bool:
+    """Whether the log's start and the estimate's are exact beside what one measurement tells."""
+    log, given = found.solution.log, found.inside
+    start = None if found.given.trace is None else found.given.trace.trace.prior_covariance
+    if start is None and given.pose_covariance is not None:
+        start = given.pose_covariance[0] if given.time_s[0] <= log.prior.time_s + CLOCK_S else None
+    seen = log.measurements
+    if start is None or not len(seen.time_s):
+        return False
+    place, turn = seen.sigma_range_m.min(), seen.sigma_bearing_rad.min()
+    limit = (_EXACT_SHARE * np.array((place, place, turn))) ** 2
+    return bool((np.diag(start) <= limit).all() and (np.diag(log.prior.covariance) <= limit).all())
 
 
 def _of_settings(traced: TraceCheck) -> bool:
@@ -634,7 +688,7 @@ def check_external(
     expected: RequiredGrade = "like" if given.estimator == "ekf" else "plausible"
     grade = _grade(require or expected, near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
-    known = facts(inside, first, references.clues) if first else []
+    known = _facts(inside, first, references, solution, followed and followed[0])
     smoothed = solution.estimate
     covered = coverage(
         (inside.time_s, inside.pose),
@@ -652,14 +706,10 @@ def check_external(
         progress("trace", 0, 0)
         solved = solution.result, solution.estimate
         traced = check_trace(given, followed, solution.prepared, solved[0].options, solved)
-        grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
-        causes = _with_trace(causes, traced.verdict.causes)
+        grade, causes = _traced(grade, causes, traced, first, solution, inside)
     if covered.short:
         grade = replace(grade, value=None)
-    checked = solution.association_check
-    outcome = outcome_of(
-        grade, verified=verified, association_known=checked is None or checked.verified
-    )
+    outcome = outcome_of(grade, verified=verified, association_known=_associated(solution))
     if covered.short:
         outcome = "disagree"
     if outcome == "unverified":
@@ -706,6 +756,49 @@ def check_external(
         remarks=remarks,
         answers=Answers(_known(solution, traced, judged), CHECKS),
     )
+
+
+def _associated(solution: Solution) -> bool:
+    """Whether the references' association is known: by labels, or beyond doubt."""
+    checked = solution.association_check
+    return checked is None or checked.verified
+
+
+def _facts(
+    given: ExternalEstimate,
+    near: Likeness | None,
+    references: _References,
+    solution: Solution,
+    run: EkfRun | None,
+) -> list[Cause]:
+    """Why the estimate is not like the first reference of its kind. run: of its trace."""
+    if near is None:
+        return []
+    known = facts(given, near, references.clues)
+    twice = duplicates(given, near, solution.log, run)
+    if not twice:
+        return known
+    return [duplicate_cause(twice), *(one for one in known if one.gap != "map")]
+
+
+def _traced(
+    grade: Graded,
+    causes: tuple[Cause, ...],
+    traced: TraceCheck,
+    first: Likeness | None,
+    solution: Solution,
+    inside: ExternalEstimate,
+) -> tuple[Graded, tuple[Cause, ...]]:
+    """The grade and the causes with what a trace shows; first: beside the first reference.
+
+    Right equations of another map than the log's are not like a reference: what is then left to
+    explain is the map.
+    """
+    own = _by_equations(grade, traced, inside, labelled=solution.prepared.labelled)
+    if own is not grade and first is not None and first.unmapped and _associated(solution):
+        of_map = [one for one in causes if one.gap in ("association", "map", "coverage")]
+        return by_trace(grade, traced), (*of_map, *_with_trace((), traced.verdict.causes))
+    return by_trace(own, traced), _with_trace(causes, traced.verdict.causes)
 
 
 def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known:

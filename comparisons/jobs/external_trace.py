@@ -31,14 +31,12 @@ from comparisons.checks.diagnosis.sensor_records import recorded_sensors
 from comparisons.checks.diagnosis.single_precision import (
     FACTOR,
     OPERATIONS,
-    Replay,
     allowed_gap,
     allowed_of_estimate,
     computed_in_single,
-    replay,
     restored_traces,
-    turned_as_corrected,
 )
+from comparisons.checks.diagnosis.trace_recursion import Replay, replay, turned_as_corrected
 from comparisons.checks.registry import OF_FILTER
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import SolveConfig

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,14 +10,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError, quoted, shorten
+from comparisons.logs.column_names import (
+    NAMES,
+    UNITS,
+    ColumnOptions,
+    column_of,
+    dimension,
+    known_unit,
+)
 from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import RelativePoses, wheel_samples
 from comparisons.logs.plain_csv import (
-    NAMES,
     SEE,
-    UNITS,
     PlainTable,
     need,
     read_plain,
@@ -57,7 +63,7 @@ _SIGMA_OF: dict[str, tuple[str, tuple[str, ...]]] = {
     "sigma_m": ("positions", ("x_m",)),
     "wheelbase_m": ("", ("wheelbase_m",)),
 }  # fmt: skip
-"""The stream and the columns that a stated sigma is of: whose unit it has."""
+"""The stream and the columns that a stated sigma is of, whose kinds of units it may have."""
 LEAST_VARIANCE = 1e-6
 """Drivers write smaller ones of positions for what they do not know."""
 
@@ -67,11 +73,12 @@ class UserFiles:
     """What a user has, and what he states.
 
     stated: by column, such as `sigma_range_m`, what holds for all rows: numbers in SI, or texts,
-    "1" in the unit of the column that the sigma is of, or "1deg". truth: reads its poses, by what
+    "1" in SI, or "1deg". truth: reads its poses, by what
     times count from.
     kind: of odometry, None where the columns say. units: by `COLUMN` or `STREAM:COLUMN`, of values
-    whose header names no unit. prior_pose: (x, y, heading) at the first odometry. imu: yaw
-    rates in place of the odometry's.
+    whose header names no unit. columns: by the same, with a usual name for COLUMN, the header that
+    has it. prior_pose: (x, y, heading) at the first odometry. imu: yaw rates in place of the
+    odometry's.
     """
 
     name: str
@@ -83,6 +90,7 @@ class UserFiles:
     truth_landmarks: Path | None = None
     kind: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
     imu: Path | None = None
     prior_pose: tuple[float, float, float] | None = None
 
@@ -98,9 +106,7 @@ class Found(NamedTuple):
 def build(files: UserFiles) -> Found:
     """Read the files into a log. Raises InputError naming file, line, value and expectation."""
     reading = _Reading(files)
-    odometry = reading.odometry()
-    measurements, positions = reading.measurements(), reading.positions()
-    truth, marks = reading.truth(), reading.truth_landmarks()
+    odometry, measurements, positions, truth, marks = reading.all()
     if reading.stated:
         name = next(iter(reading.stated))
         why = f"the {reading.kind} odometry does not use it"
@@ -124,7 +130,6 @@ def build(files: UserFiles) -> Found:
         reading.notes.append(f"times count from {reading.start_s} s of the files")
     log = replace(log, provenance={**log.provenance, **origins})
     reading.check_instants(log)
-    reading.check_units()
     notes = [f"{stream}: {_origins(t, limits=True)}" for stream, t in reading.tables.items()]
     start = _start(files, log)
     return Found(log, _remarks(start), [*notes, _start_words(log, start), *reading.notes])
@@ -140,6 +145,22 @@ class _Reading:
         self.kind, self.geodetic = "", False
         self.start_s: int | None = None  # that of the odometry, which is read first
         self.span_s = (-np.inf, np.inf)
+
+    def all(self) -> list[Any]:
+        """All streams. Raises InputError that names what is unknown or missing in any of them."""
+        streams, faults = [], list[str]()
+        for read in (
+            self.odometry, self.measurements, self.positions, self.truth, self.truth_landmarks,
+        ):  # fmt: skip
+            try:
+                streams.append(read())
+            except InputError as error:
+                faults.append(str(error))
+        faults += self._unused_options()
+        if faults:
+            several = [fault.removesuffix(f", {SEE}").removesuffix(f"; {SEE}") for fault in faults]
+            raise InputError(faults[0] if not faults[1:] else f"{'; '.join(several)}; {SEE}")
+        return streams
 
     def odometry(self) -> dict[str, Any]:
         """Columns of one kind, with what is stated of it."""
@@ -295,8 +316,9 @@ class _Reading:
             raise self.located(RecordError("measurements", row, fault))
 
     def _read(self, stream: str, path: Path, wanted: tuple[str, ...]) -> PlainTable:
-        units = units_of(self.files.units, stream)
-        table = self.tables[stream] = read_plain(path, wanted, units=units, start_s=self.start_s)
+        options = column_options(self.files.units, self.files.columns, stream)
+        table = read_plain(path, wanted, options=options, start_s=self.start_s)
+        self.tables[stream] = table
         if table.columns and not table.line:
             raise InputError(
                 f"{path}: holds no records, expected rows below the header (a line that begins "
@@ -324,8 +346,8 @@ class _Reading:
 
         A message of odometry holds poses and velocities; a bag's poses are read.
         """
-        names = [name for name in table.columns if name in _MOTION]
-        kinds = [kind for kind, needed in KINDS.items() if set(needed) <= set(names)]
+        names = {name for name in table.columns if name in _MOTION}
+        kinds = _kinds(names - table.guessed) or _kinds(names)
         driven = [kind for kind in kinds if kind in ("velocity", "steering")]
         if len(driven) == 1 and "sigma_speed_mps" in self.stated:
             kinds = driven
@@ -333,19 +355,21 @@ class _Reading:
             kinds = ["poses"]
         if len(kinds) == 1:
             return kinds[0]
-        found = shown(table.headers)
         if kinds:
             raise InputError(
                 f"{table.path}: odometry: holds {' and '.join(kinds)}, expected one of them: give "
-                f"--kind; found {found}; {SEE}"
+                f"--kind; found {shown(table.headers)}; {SEE}"
             )
+        unknown = [header for header in table.headers if header and header not in table.used]
+        found = f"unknown columns: {shown(unknown)}" if unknown else "columns are missing"
+        read = shown([header for header in table.headers if header in table.used])
         choices = "; ".join(
             f"{kind}: {', '.join(' or '.join(NAMES[name][:2]) for name in needed)}"
             for kind, needed in KINDS.items()
         )
         raise InputError(
-            f"{table.path}: odometry: columns of no kind, found {found}; wanted are time and one "
-            f"of {choices}; {SEE}"
+            f"{table.path}: odometry: {found}; expected beside {read or 'time'} one of {choices}; "
+            f"{table.mend}, {SEE}"
         )
 
     def _take_all(self, *names: str) -> dict[str, float]:
@@ -372,36 +396,53 @@ class _Reading:
         return value
 
     def _in_si(self, name: str, text: str) -> float:
+        """A number in SI, or with a unit behind it; of rates, angles too, which are per second."""
         stream, columns = _SIGMA_OF[name]
         table = self.tables.get(stream)
         column = next((one for one in columns if table and one in table.columns), columns[0])
-        units = UNITS[column.rpartition("_")[2]]
+        units = dict(UNITS[dimension(column)])
+        if dimension(column) == "radps":
+            units |= UNITS["rad"]
         number, unit = split_unit(text)
-        if number is None or unit not in ("", *units):
+        known = known_unit(column, unit)
+        if known is None and unit and dimension(column) == "radps":
+            known = known_unit("heading_rad", unit)
+        if number is None or (unit and known is None):
             raise InputError(
                 f"{OPTIONS[name]} is '{shorten(text)}', expected a number, or one with a unit "
                 f"behind it: {', '.join(units)}"
             )
-        if unit:
-            return number * units[unit]
-        factor = 1.0 if table is None else abs(table.factor.get(column, 1.0))
-        if factor != 1.0 and table is not None:
-            unit = next(one for one, value in units.items() if value == factor)
+        if known:
+            return number * units[known]
+        if table is not None and abs(table.factor.get(column, 1.0)) != 1.0:
+            si = dimension(column)
             self.notes.append(
-                f"{OPTIONS[name]} {text} is {number * factor:.4g} {next(iter(units))}: {text} "
-                f"{unit}, the unit of '{table.origin[column]}'"
+                f"{OPTIONS[name]} {text} is {text} {si}, though '{table.origin[column]}' is in "
+                f"{table.unit[column].partition(' ')[0].removeprefix('-')}: a sigma without a unit "
+                "is in SI"
             )
-        return number * factor
+        return number
 
-    def check_units(self) -> None:
-        """Raise InputError where a unit is given for a column that no file has."""
-        known = {one for table in self.tables.values() for one in table.stated}
+    def _unused_options(self) -> list[str]:
+        """What is wrong with units and headers that are given and that no file has."""
+        faults = []
         for given, unit in self.files.units.items():
-            if given.rpartition(":")[2] not in known:
-                raise InputError(
-                    f"--unit {shorten(given)}={shorten(unit)}: no file has such a column that "
-                    "is read"
-                )
+            if not any(_column(given) in table.stated for table in self._tables_of(given)):
+                option = f"--unit {shorten(f'{given}={unit}')}"
+                faults.append(f"{option}: no file has such a column that is read")
+        for given, header in self.files.columns.items():
+            name, option = _column(given), f"--column {shorten(f'{given}={header}')}"
+            if column_of(name) is None:
+                usual = ", ".join(dict.fromkeys(one[0] for one in NAMES.values()))
+                faults.append(f"{option}: '{shorten(name)}' is unknown, expected {usual}")
+            elif not any(name in table.named for table in self._tables_of(given)):
+                faults.append(f"{option}: no file that needs it has a column '{shorten(header)}'")
+        return faults
+
+    def _tables_of(self, given: str) -> list[PlainTable]:
+        """The files that an option of `COLUMN` or `STREAM:COLUMN` is of."""
+        stream = given.rpartition(":")[0]
+        return [table for name, table in self.tables.items() if stream in ("", name)]
 
     def _within(self, stream: str, table: PlainTable) -> PlainTable:
         """The records during the odometry; the others are left out, and counted aloud."""
@@ -433,14 +474,30 @@ class _Reading:
             )
 
 
-def units_of(units: Mapping[str, str], stream: str) -> dict[str, str]:
-    """Return the units given for a file: of `COLUMN` for each, of `STREAM:COLUMN` for one."""
-    return {
-        column: unit
-        for given, unit in units.items()
-        for named, _, column in [given.rpartition(":")]
-        if named in ("", stream)
-    }
+def column_options(
+    units: Mapping[str, str], columns: Mapping[str, str], stream: str
+) -> ColumnOptions:
+    """Return what is said of a file's columns: by `COLUMN` for each, by `STREAM:COLUMN` for one."""
+
+    def of_stream(options: Mapping[str, str]) -> dict[str, str]:
+        return {
+            column: value
+            for given, value in options.items()
+            for named, _, column in [given.rpartition(":")]
+            if named in ("", stream)
+        }
+
+    return ColumnOptions(units=of_stream(units), headers=of_stream(columns))
+
+
+def _column(given: str) -> str:
+    """The column of an option of `COLUMN` or `STREAM:COLUMN`."""
+    return given.rpartition(":")[2]
+
+
+def _kinds(names: Collection[str]) -> list[str]:
+    """The kinds of odometry that columns are enough for."""
+    return [kind for kind, needed in KINDS.items() if set(needed) <= set(names)]
 
 
 def _laid(log: Log, plane: Positions) -> tuple[Log, str]:

@@ -15,7 +15,6 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from decimal import Decimal
-from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +23,22 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, shorten
-from comparisons.logs.from_arrays import COVARIANCE, GAPS, LABELS, TWIST
+from comparisons.logs.column_names import (
+    NAMES,
+    RENAME,
+    UNITS,
+    ColumnOptions,
+    Meaning,
+    UnknownUnit,
+    column_of,
+    dimension,
+    factor_of,
+    known_unit,
+    meaning,
+    named_header,
+    parted,
+)
+from comparisons.logs.from_arrays import GAPS, LABELS
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
 from comparisons.logs.stamps import (
     Nanoseconds,
@@ -36,48 +50,10 @@ from comparisons.logs.stamps import (
 from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text
 
 SEE = "see docs/your-own-log.md"
-_DEGREE = pi / 180
-UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3},
-    "rad": {"rad": 1.0, "deg": _DEGREE},
-    "mps": {"mps": 1.0, "m/s": 1.0, "kmh": 1 / 3.6, "km/h": 1 / 3.6},
-    "radps": {"radps": 1.0, "rad/s": 1.0, "degps": _DEGREE, "deg/s": _DEGREE},
-    "m2": {"m2": 1.0},
-}
-"""By dimension, the units that a header may name, in SI; the first is the default."""
 _PER_SECOND = {"s": 1, "sec": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _SECONDS_END = 1e10
-
-NAMES: dict[str, tuple[str, ...]] = {
-    "time_s": ("time", "t", "timestamp", "stamp"),
-    "speed_mps": ("speed", "v", "velocity", "forward_velocity", "linear_velocity"),
-    "yaw_rate_radps": ("yaw_rate", "yawrate", "w", "omega", "angular_velocity"),
-    "steering_rad": ("steering", "steer", "steering_angle"),
-    "x_m": ("x",),
-    "y_m": ("y",),
-    "heading_rad": ("heading", "yaw", "theta"),
-    "dx_m": ("dx",),
-    "dy_m": ("dy",),
-    "dheading_rad": ("dheading", "dyaw", "dtheta"),
-    "range_m": ("range", "distance"),
-    "bearing_rad": ("bearing",),
-    "sigma_range_m": ("sigma_range",),
-    "sigma_bearing_rad": ("sigma_bearing",),
-    "landmark": ("landmark", "id", "label", "landmark_id", "subject_nb"),
-    "id": ("id", "label", "landmark", "landmark_id", "subject_nb"),
-    "diameter_m": ("diameter",),
-    "intensity": ("intensity",),
-    "var_x_m2": ("var_x",),
-    "cov_xy_m2": ("cov_xy",),
-    "var_y_m2": ("var_y",),
-    "sigma_m": ("sigma",),
-    "latitude": ("latitude", "lat"),
-    "longitude": ("longitude", "lon", "lng"),
-    "altitude": ("altitude", "alt"),
-    **{name: (name,) for name in (*TWIST, *COVARIANCE)},
-}
-"""What a header may be called, by column of a log folder."""
+_DAY_S, _LONGEST_S = 86_400.0, 1e7
+"""Of a drive, whose times name no unit: a third of a year, and no log is so long."""
 _NEXT = "are not supported in a log: record your filter and slamcheck audit it, see docs/audit.md"
 _ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alone {_NEXT})"}
 """What is said where one of two columns is missing."""
@@ -90,7 +66,7 @@ _SIGNED = (
 )  # fmt: skip
 """Columns that may count the other way round, as `--unit bearing=-deg`."""
 _FOLLOWS = {"sigma_range_m": "range_m", "sigma_bearing_rad": "bearing_rad", "sigma_m": "x_m"}
-"""A column of sigmas, and the one whose unit it has where its header names none."""
+"""A column of sigmas, and the one that it is of; its unit is its own."""
 _ISO = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,12}))?(Z|[+-]\d\d:?\d\d)?")
 
 
@@ -101,8 +77,9 @@ class PlainTable:
     headers: of the file, in its order. unit: of each column that is not in SI, in words. factor: of
     each column, to SI. used: headers that are read. stated: the names under which units were given
     that a column has. start_s: what times count from. time_ns: the times exactly as written, where
-    nothing is subtracted and float64 lacks nanoseconds of them. A column of numbers that is empty
-    throughout is not there.
+    nothing is subtracted and float64 lacks nanoseconds of them. named: usual names that a user gave
+    a header for. guessed: columns under names that are less usual. mend: what to do about a header
+    that is not known. A column of numbers that is empty throughout is not there.
     """
 
     path: Path
@@ -116,6 +93,9 @@ class PlainTable:
     stated: frozenset[str] = frozenset()
     start_s: int = 0
     time_ns: Nanoseconds | None = None
+    named: frozenset[str] = frozenset()
+    guessed: frozenset[str] = frozenset()
+    mend: str = RENAME
 
     def rows(self, kept: NDArray[np.bool_]) -> PlainTable:
         """Those in some of the rows (N,), booleans."""
@@ -147,29 +127,34 @@ class _Lines(NamedTuple):
 class _Source(NamedTuple):
     """Where a column stands.
 
-    unit: None where its header names none. stated: the name that it has in what a user gave.
+    unit: None where its header names none. stated, named: the name that it has where a user gave
+    its unit, and its header. usual: whether its name is.
     """
 
     places: tuple[int, ...]
     unit: str | None = None
     stated: str = ""
+    named: str = ""
+    usual: bool = True
 
 
 def read_plain(
     path: Path,
     wanted: Sequence[str],
     *,
-    units: Mapping[str, str] | None = None,
+    options: ColumnOptions | None = None,
     start_s: int | None = 0,
 ) -> PlainTable:
     """Return, in SI, what a CSV file has of the columns of a log folder that are wanted.
 
-    units: by a header or a column's usual name, the unit of its values. start_s: what times count
+    options: what a user says of its columns. start_s: what times count
     from, subtracted from their decimals; None: the origin of the file's own. Raises InputError
     naming file, line, column and expectation.
     """
-    lines = _lines(path, wanted)
-    sources = _sources(lines, wanted, units or {})
+    options = options or ColumnOptions()
+    lines = _lines(path, wanted, options)
+    sources = _sources(lines, wanted, options)
+    _check_sigma_units(lines, sources)
     for name in _empty(sources, lines.rows):
         for place in sources.pop(name).places:
             lines.names[place] += " (empty)"
@@ -191,12 +176,10 @@ def read_plain(
         elif len(source.places) > 1:
             columns[name] = _heading(lines, source)
         else:
-            followed = sources.get(_FOLLOWS.get(name, ""), source)
-            found = source.unit or (followed.unit and followed.unit.removeprefix("-"))
-            factor[name] = _factor(name, found or "")
+            factor[name] = factor_of(name, source.unit or "")
             words = lines.words(source.places[0])
             columns[name] = factor[name] * _numbers(path, words, lines.line, name, header)
-            unit[name] = _unit_words(name, found, source)
+            unit[name] = _unit_words(name, source)
     return PlainTable(
         path=path,
         columns=columns,
@@ -209,6 +192,9 @@ def read_plain(
         stated=frozenset(source.stated for source in sources.values() if source.stated),
         start_s=start_s or 0,
         time_ns=time_ns,
+        named=frozenset(source.named for source in sources.values() if source.named),
+        guessed=frozenset(name for name, source in sources.items() if not source.usual),
+        mend=options.mend,
     )
 
 
@@ -223,7 +209,7 @@ def need(table: PlainTable, names: Sequence[str]) -> None:
     alone = [one for one in _ALONE if one in names]
     note = _ALONE[lacking[0]] if len(alone) == 2 and lacking[0] in alone and not lacking[1:] else ""
     raise InputError(
-        f"{table.path}: {expected}{note}; found {shown(table.headers)}; name its columns so, {SEE}"
+        f"{table.path}: {expected}{note}; found {shown(table.headers)}; {table.mend}, {SEE}"
     )
 
 
@@ -238,7 +224,7 @@ def shown(headers: Sequence[str]) -> str:
     )
 
 
-def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
+def _lines(path: Path, wanted: Sequence[str], options: ColumnOptions) -> _Lines:
     """Split a file into a header and rows of as many words."""
     lines = [
         (number, line)
@@ -257,8 +243,10 @@ def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
     message = message_of(_split(path, records[:1], delimiter)[0])
     if message is not None and not (begin == 0 and header):
         names, begin = list(MESSAGES[message]), 0
-    if not _sources(_Lines(path, names, [], [], True), wanted, {}):
-        raise InputError(f"{path}:{first}: {_no_columns(header, names, delimiter, wanted)}")
+    if not _sources(_Lines(path, names, [], [], True), wanted, options):
+        fault = _no_columns(header, names, delimiter, wanted)
+        mend = f"; {options.mend}" if fault.startswith("unknown columns") else ""
+        raise InputError(f"{path}:{first}: {fault}{mend}, {SEE}")
     rows = _split(path, records[begin:], delimiter)
     number = [one for one, _ in records[begin:]]
     for row, line in zip(rows, number, strict=True):
@@ -279,17 +267,14 @@ def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[
         return (
             "numbers with blanks between them, as a TUM trajectory has, expected a line of names "
             "with commas, semicolons or tabs between them; slamcheck export TRAJECTORY.tum "
-            f"POSES.csv writes a trajectory so; {SEE}"
+            "POSES.csv writes a trajectory so"
         )
     if not header or _numeric(header, delimiter):
         return (
             "no header, expected a line of names with commas, semicolons or tabs between them, "
-            f"among them {choices}; {SEE}"
+            f"among them {choices}"
         )
-    return (
-        f"none of the columns wanted; found {shown(names)}; wanted are "
-        f"{choices}; name its columns so, {SEE}"
-    )
+    return f"unknown columns: {shown(names)}; expected {choices}"
 
 
 def _empty(sources: Mapping[str, _Source], rows: list[list[str]]) -> list[str]:
@@ -318,97 +303,115 @@ def split_unit(text: str) -> tuple[float | None, str]:
     return float(matched[0]), text.strip()[matched.end() :].strip()
 
 
-def _sources(lines: _Lines, wanted: Sequence[str], units: Mapping[str, str]) -> dict[str, _Source]:
-    """Where the file has each column: under a usual name, else as a field of a message.
+def _sources(lines: _Lines, wanted: Sequence[str], options: ColumnOptions) -> dict[str, _Source]:
+    """Where the file has each column.
 
-    A message's stamp goes before the time at which it was recorded.
+    As a user says, else under a usual name, as a field of a message, or under a less usual name. A
+    message's stamp goes before the time at which it was recorded. Raises InputError that names all
+    units and pairs of columns that are not clear.
     """
-    found: dict[str, _Source] = {}
+    found = _named(lines, wanted, options)
+    taken = {source.places[0] for source in found.values()}
+    faults: list[str] = []
+    by_name: dict[bool, dict[str, list[tuple[int, Meaning]]]] = {True: {}, False: {}}
     for place, header in enumerate(lines.names):
-        column, unit = _column(lines.path, header, wanted)
-        if column is None:
+        if place in taken:
             continue
-        if column in found:
-            other = lines.names[found[column].places[0]]
-            raise InputError(
-                f"{lines.path}: columns '{shorten(other)}' and '{shorten(header)}' both "
-                f"mean {column}, expected one"
-            )
-        found[column] = _Source((place,), unit)
+        try:
+            meant = meaning(header, wanted)
+        except UnknownUnit as error:
+            faults.append(str(error))
+            continue
+        if meant is not None and meant.column not in found:
+            by_name[meant.usual].setdefault(meant.column, []).append((place, meant))
     message = MessageFields(lines.path, lines.names)
+    known = {column: headers[0][0] for column, headers in by_name[True].items()}
+    known |= {column: source.places[0] for column, source in found.items()}
     for column in wanted:
-        places = () if column in found and column != "time_s" else message.places(column)
-        if places:
+        places = () if column in found else message.places(column)
+        usual, others = (by_name[rank].get(column, []) for rank in (True, False))
+        if places and (column == "time_s" or not usual):
             found[column] = _Source(places)
-    return {name: _stated(lines, name, source, units) for name, source in found.items()}
+        elif usual or (others and column not in found):
+            headers = usual or others
+            if headers[1:]:
+                faults.append(_both(lines, headers, options))
+            place, meant = headers[0]
+            found[column] = _Source((place,), meant.unit, usual=meant.usual)
+    if faults:
+        raise InputError(f"{lines.path}: {'; '.join(faults)}")
+    order = sorted(found, key=lambda one: known.get(one, len(lines.names)))
+    return {name: _stated(lines, name, found[name], options.units) for name in order}
+
+
+def _both(lines: _Lines, headers: list[tuple[int, Meaning]], options: ColumnOptions) -> str:
+    """What is said of two headers with the same meaning."""
+    (first, meant), (second, _) = headers[:2]
+    name, other = (shorten(lines.names[place]) for place in (first, second))
+    text = f"columns '{name}' and '{other}' both mean {meant.column}, expected one"
+    if options.headers is None:
+        return text
+    return f"{text}: give --column {NAMES[meant.column][0]}={name}, or ={other}"
+
+
+def _named(lines: _Lines, wanted: Sequence[str], options: ColumnOptions) -> dict[str, _Source]:
+    """Columns whose header a user says."""
+    places = {header.strip().lower(): place for place, header in enumerate(lines.names)}
+    found: dict[str, _Source] = {}
+    for name, header in (options.headers or {}).items():
+        column = next((one for one in wanted if column_of(name, (one,)) is not None), None)
+        place = places.get(header.strip().lower())
+        if column is None or place is None:
+            continue
+        unit = named_header(lines.names[place], column).unit
+        found[column] = _Source((place,), unit, named=name)
+    return found
+
+
+def _check_sigma_units(lines: _Lines, sources: Mapping[str, _Source]) -> None:
+    """Raise InputError for a column of sigmas without a unit, beside values that have another."""
+    for name, of in _FOLLOWS.items():
+        sigma, values = sources.get(name), sources.get(of)
+        if sigma is None or values is None or sigma.unit is not None:
+            continue
+        unit = (values.unit or "").removeprefix("-")
+        if values.unit is None or factor_of(of, unit) == 1.0:
+            continue
+        header, other = (shorten(lines.names[one.places[0]]) for one in (sigma, values))
+        raise InputError(
+            f"{lines.path}: '{header}' names no unit beside '{other}' in {unit}, expected one: "
+            f"name it {NAMES[name][0]}_{unit}, or give --unit {header}={unit} (or "
+            f"{dimension(name)})"
+        )
 
 
 def _stated(lines: _Lines, name: str, source: _Source, units: Mapping[str, str]) -> _Source:
     """The same with the unit that a user gave for it."""
     header = lines.names[source.places[0]]
-    called = {header.lower(), _parted(header)[0], name, *NAMES[name]}
+    called = {header.lower(), parted(header)[0], name, *NAMES[name]} | {source.named.lower()}
     given = next((one for one in units if one.lower() in called), None)
     if given is None:
         return source
-    known = UNITS.get(_dimension(name), {})
-    unit = units[given].removeprefix("-")
-    if unit not in known or (unit != units[given] and name not in _SIGNED):
+    known = UNITS.get(dimension(name), {})
+    sign = "-" if units[given].startswith("-") else ""
+    unit = known_unit(name, units[given].removeprefix("-"))
+    if unit is None or (sign and name not in _SIGNED):
         raise InputError(
-            f"--unit {shorten(given)}={shorten(units[given])}: the unit is unknown, expected "
+            f"--unit {given}={units[given]}: the unit is unknown, expected "
             f"{', '.join(known) or 'none'}"
         )
     if source.unit is not None and known[source.unit] != known[unit]:
         raise InputError(
-            f"--unit {shorten(given)}={shorten(units[given])}: '{shorten(header)}' of "
-            f"{lines.path} says {source.unit}, expected the same"
+            f"--unit {given}={units[given]}: '{shorten(header)}' of {lines.path} says "
+            f"{source.unit}, expected the same"
         )
-    return source._replace(unit=units[given], stated=given)
+    return source._replace(unit=sign + unit, stated=given)
 
 
-def _column(path: Path, header: str, wanted: Sequence[str]) -> tuple[str | None, str | None]:
-    """The column that a header under a usual name means, if it is wanted, and its unit."""
-    name, unit = _parted(header)
-    for column in wanted:
-        units = UNITS.get(_dimension(column), {})
-        if name in NAMES[column] and (unit is None or unit in units):
-            return column, unit
-        if (parts := name.rpartition("_"))[0] in NAMES[column] and parts[2] in units:
-            return column, parts[2]
-        if name in NAMES[column]:
-            known = ", ".join(units) or "none"
-            raise InputError(
-                f"{path}: unit '{shorten(str(unit))}' of column '{shorten(header)}' is "
-                f"unknown, expected {known}"
-            )
-    return None, None
-
-
-def _factor(name: str, unit: str) -> float:
-    """What makes SI of a column's values; a unit behind `-` counts the other way round."""
-    factor = UNITS.get(_dimension(name), {}).get(unit.removeprefix("-"), 1.0)
-    return -factor if unit.startswith("-") else factor
-
-
-def _unit_words(name: str, unit: str | None, source: _Source) -> str:
+def _unit_words(name: str, source: _Source) -> str:
     if source.stated:
-        return f"{unit} by --unit"
-    dimension = _dimension(name)
-    return "" if unit is None or UNITS[dimension][unit] == 1.0 else unit
-
-
-def _parted(header: str) -> tuple[str, str | None]:
-    """A header's name and the unit in brackets behind it."""
-    text = header.strip().lower().lstrip("%_ ")
-    at = min(len(text.partition(bracket)[0]) for bracket in "[(")
-    if at < len(text) and text[-1] in "])":
-        name = text[:at].replace("_", " ").rstrip()
-        return name.replace(" ", "_"), text[at + 1 : -1].strip()
-    return text.replace(" ", "_"), None
-
-
-def _dimension(column: str) -> str:
-    tail = column.rpartition("_")[2]
-    return tail if tail in UNITS else ""
+        return f"{source.unit} by --unit"
+    return "" if source.unit is None or factor_of(name, source.unit) == 1.0 else source.unit
 
 
 def _numeric(line: str, delimiter: str) -> bool:
@@ -475,8 +478,22 @@ def _times(lines: _Lines, source: _Source, header: str) -> tuple[list[Decimal], 
             f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s; name the column "
             f"'time_{_by_size(most)}' if that is its unit"
         )
+    span = float(max(values, default=0) - min(values, default=0))
+    if not source.unit and span / _PER_SECOND[unit] > _LONGEST_S:
+        raise InputError(
+            f"{lines.path}: '{shorten(header)}' spans {span / _PER_SECOND[unit] / _DAY_S:.0f} days "
+            f"as {unit}, expected the time of a drive; name its unit: {_spans(span, header)}"
+        )
     text = "" if unit == "s" and not how else f"{unit}{how}"
     return [one / _PER_SECOND[unit] for one in values], text
+
+
+def _spans(span: float, header: str) -> str:
+    """The options that make a drive of a span of times, with its length."""
+    lengths = {unit: span / n for unit, n in _PER_SECOND.items() if span / n <= _DAY_S}
+    return " or ".join(
+        f"--unit {shorten(header)}={unit} ({length:.3g} s)" for unit, length in lengths.items()
+    )
 
 
 def _decimals(lines: _Lines, place: int) -> list[Decimal]:

@@ -38,6 +38,8 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--seed', panel='Log, settings and report', help='Random seed of a simulated log. [0]', metavar='N', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.seed', kind=int),
     Flag(option='--loops', panel='Log, settings and report', help='Number of loops of a simulated log. [1]', metavar='N', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.loops', kind=int),
     Flag(option='--noise-scale', panel='Log, settings and report', help='Factor on the noise of a simulated log and on its stated sigmas. [1]', metavar='X', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.noise_scale', kind=float),
+    Flag(option='--prior-pose', panel='Log, settings and report', help="Start pose. [the log's]", metavar='X,Y,RAD', jobs=('run', 'solve', 'check', 'map', 'odometry'), text=True, field='log.prior_pose'),
+    Flag(option='--align', panel='Log, settings and report', help="Lay truth, and an estimate without trace, onto the log's start pose: their frame is another.", jobs=('run', 'check'), field='log.align', kind=bool),
     Flag(option='--fail-on', panel='Log, settings and report', help='Exit 1 also on: consistency (filter inconsistent), truth (smoother far off), association (unchecked).', metavar='WHAT,...', jobs=('run',), text=True, field='fail_on'),
     Flag(option='--figures', jobs=('run',), field='report.figures', words=('png', 'pdf'), many=True),
     Flag(option='--trace', jobs=('run',), field='report.trace', kind=bool),

@@ -14,6 +14,7 @@ from comparisons.config import (
     full_path,
     recorded_path,
 )
+from comparisons.errors import InputError
 from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
@@ -44,6 +45,14 @@ def load_log(section: LogSection) -> Log:
         from comparisons.logs.transforms.published_sigmas import with_published_sigmas
 
         log = with_published_sigmas(log)
+    if section.prior_pose is not None:
+        from comparisons.adapters.alignment import with_prior_pose
+
+        log = with_prior_pose(log, section.prior_pose)
+    if section.align:
+        from comparisons.adapters.alignment import with_truth_at_start
+
+        log = with_truth_at_start(log)
     if section.sigma_position_m is not None and log.positions is not None:
         log = replace(log, positions=log.positions.with_sigma(section.sigma_position_m))
     return log
@@ -76,6 +85,8 @@ def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, Clock]:
     section, clock = config.log, Clock()
     with clock.stage("read"):
         log = load_log(section.model_copy(update={"topics": _topics(config)[0]}))
+        if section.align and log.truth.poses is None and not isinstance(config, CheckConfig):
+            raise InputError(f"{log.name}: has no true poses, expected some for --align")
         found = log_hash(log)
     if not allow_changed:
         option = "--allow-changed-log, as for a hash of slamcheck 0.2 or older,"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.designs import BROKEN, FORMS, LOGS, Design, Filter, results
+from benchmarks.designs import BROKEN, FORMS, LOGS, Design, Filter, results, unlabelled
 from benchmarks.designs import read_log as read_plain
 from benchmarks.odometry_drives import drive
 from comparisons.audit.audit import audit
@@ -188,9 +188,13 @@ def test_a_rule_does_not_excuse_a_fault(
 
 def test_removed_landmarks_are_said_and_not_missing(tmp_path: Path, world: World) -> None:
     """With a trace by its events, without by the number of measurements."""
-    for traced, words in ((True, "which its filter removed"), (False, "those with fewer than 4")):
+    counts = np.unique(world.log.measurements.landmark, return_counts=True)[1]
+    fewest = int(counts.min())
+    assert fewest < counts.max()
+    few = f"those with fewer than {fewest + 1}"
+    for traced, words in ((True, "which its filter removed"), (False, few)):
         folder = tmp_path / str(traced)
-        found = world.check(world.hand_in(Design(prune=4), folder, traced=traced))
+        found = world.check(world.hand_in(Design(prune=fewest + 1), folder, traced=traced))
         assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
         (said,) = [one for one in found.remarks if "that the map lacks" in one]
         assert words in said
@@ -219,10 +223,43 @@ def test_a_landmark_that_is_lacking_by_no_rule_is_missing(tmp_path: Path, world:
 
 
 def test_another_start_without_effect_is_a_remark(tmp_path: Path, world: World) -> None:
-    """One of another heading has an effect on the map."""
+    """A start that is exact either way, beside what a measurement tells."""
     found = world.check(world.hand_in(FORMS["another prior"], tmp_path / "e", traced=False))
     assert found.outcome == "agree", found.causes
     assert any("without it the last pose and the map differ by" in one for one in found.remarks)
+
+
+@pytest.fixture(scope="module")
+def nameless(tmp_path_factory: pytest.TempPathFactory) -> World:
+    """The same without labels, and with landmarks that are not near each other."""
+    folder = tmp_path_factory.mktemp("nameless") / "log"
+    write_log_folder(unlabelled(drive(3, "velocity", SAMPLES)), folder)
+    return World(folder, read_log_folder(folder), {})
+
+
+class Doubling(Filter):
+    """Begins a second landmark where a first one is, for one of them after 3 s."""
+
+    def labelled(self, ks: list[int]) -> list[int]:
+        """Return labels as the filter does, but for the first of the later ones."""
+        found = super().labelled(ks)
+        if self.log.seen_s[ks[0]] > 3.0:
+            found[0] = 99
+        return found
+
+
+def test_a_map_tells_labels_that_a_log_lacks(
+    tmp_path: Path, nameless: World, no_names: None
+) -> None:
+    """If the optimum by these is plausible; a landmark that is there twice is not."""
+    right = nameless.check(nameless.hand_in(Design(), tmp_path / "right", traced=False))
+    assert (right.outcome, right.grade.value) == ("agree", "equal"), right.causes
+    twice = Doubling(Design(), read_plain(nameless.folder)).run()
+    twice.write(tmp_path / "twice", traced=False)
+    assert nameless.check(read_external(tmp_path / "twice")).outcome != "agree"
+    for broken in ("noise", "cross"):
+        given = nameless.hand_in(Design(), tmp_path / broken, broken, traced=False)
+        assert nameless.check(given).outcome != "agree"
 
 
 def test_rules_of_rows() -> None:

@@ -20,7 +20,7 @@ from comparisons.audit.run_trace import write_run
 from comparisons.checks.agreement import Gap, Gaussian, gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
-from comparisons.checks.diagnosis.single_precision import replay
+from comparisons.checks.diagnosis.trace_recursion import replay
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external

@@ -16,12 +16,18 @@ from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
-from comparisons.faults.catalogue import catalogue, families, own_start
+from comparisons.faults.catalogue import NAMED, catalogue, families, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.fingerprints.estimate_motion import integrations_by_steps
 from comparisons.fingerprints.fit import Fit, nearest
-from comparisons.fingerprints.search import fingerprints
-from comparisons.fingerprints.trial import Fingerprint, stamp_rounding
+from comparisons.fingerprints.search import fault_cause, fingerprints
+from comparisons.fingerprints.trial import (
+    LEAST_SHARE,
+    Fingerprint,
+    Trial,
+    Way,
+    stamp_rounding,
+)
 from comparisons.jobs.check import check
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import VelocityOdometry
@@ -252,6 +258,26 @@ def test_what_lasts_longest_explains_most() -> None:
     assert sorted((near, short, long, whole), key=lambda one: one.rank) == [
         whole, long, short, near
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("share", [0.4, 0.7])
+def test_what_parts_in_the_first_half_is_no_explanation(solution: Solution, share: float) -> None:
+    """An estimate of a fault up to a share of the time, and of nothing from there on."""
+    fault = present(next(one for one in NAMED if one.name == "innovation subtracted"))
+    given, sound = handed_in(run(solution, fault)), run(solution, NONE)
+    late = np.arange(len(given.time_s)) > share * len(given.time_s)
+    given = replace(given, pose=given.pose + 1e3 * late[:, None])
+    near = likeness(given, sound, labelled=True)
+    trial = Trial(given, solution.prepared, near, Way("", solution.log, EKF))
+    found = trial.of(fault)
+    assert (found is not None) == (share > LEAST_SHARE)
+    if found is not None:
+        assert found.exact
+        assert not found.whole
+        assert found.share == pytest.approx(share, abs=0.05)
+        assert (
+            f"over {100.0 * found.share:.0f} % of the time" in fault_cause([found], near).evidence
+        )
 
 
 def test_stamps_since_1970_leave_a_part_of_a_sigma(solution: Solution) -> None:

@@ -231,7 +231,7 @@ def test_an_optimum_whose_loops_are_open_is_said_to_be_the_graphs(
     assert solution.verified
     said = [one for one in SolutionReport.build(solution).remarks if "optimum of the graph" in one]
     assert len(said) == (not between_laps)
-    assert between_laps or "which no loop closure there ties; the edges tell it to" in said[0]
+    assert between_laps or "without a loop closure between them; by the edges, " in said[0]
 
 
 def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:

@@ -121,7 +121,9 @@ def test_units_that_contradict_the_data_are_refused(tmp_path: Path) -> None:
     text += "".join(f"{t:.3f},post {i},{r:.9g},{b:.9g}\n" for t, i, r, b in rows)
     (tmp_path / "seen.csv").write_text(text)
     command = "new-log mine --odometry odometry.csv --measurements seen.csv --sigma-speed 0.05 "
-    command += "--sigma-turn 0.02radps --sigma-range 5cm --sigma-bearing 0.573 --unit bearing=deg"
+    command += (
+        "--sigma-turn 0.02radps --sigma-range 5cm --sigma-bearing 0.573deg --unit bearing=deg"
+    )
     refused = slamcheck(*command.split(), "--unit", "w=degps", cwd=tmp_path)
     assert refused.returncode == 2
     assert "yaw_rate is in radians (give --unit yaw_rate=radps)" in refused.stderr

@@ -20,6 +20,7 @@ from comparisons.jobs.check import ExternalCheck
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve
+from comparisons.report.check import CheckReport
 from comparisons.words import Cause
 from tests.comparisons.newcomers import (
     Arc,
@@ -126,6 +127,15 @@ def test_each_fault_is_the_first_sentence(words: str, folder: Path, tmp_path: Pa
     assert first.gap == "fault"
     assert first.evidence.startswith(words)
     assert "equals the estimate" in first.evidence
+    whole = "until it diverges" not in first.evidence
+    summary = CheckReport.of(found).summary()
+    assert bool(summary.explained) is whole
+    assert set(summary.explained) <= {"first difference", "estimate", "covariance"}
+    departed = any(remark.startswith("first difference") for remark in summary.remarks)
+    assert departed is not whole
+    unknown = CheckReport.of(replace(found, consequences=())).summary()
+    assert not unknown.explained
+    assert any(remark.startswith("first difference") for remark in unknown.remarks)
 
 
 @pytest.fixture(scope="module")

@@ -157,7 +157,7 @@ STATED = np.diag(np.square((0.003, 0.5, 1.0)))
     [
         (
             (0.8, 0.3, 0.001),
-            "rows of its covariance are exchanged, by which that is probable: x and the heading (p",
+            "rows of its covariance are exchanged; then it is probable: x and the heading (p",
         ),
         ((0.8, 0.3, 1.2), ""),
         ((0.001, 0.3, 1.2), ""),

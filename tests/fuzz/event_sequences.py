@@ -35,7 +35,8 @@ _CLEAR = 1e-6
 class Drawing:
     """A filter whose next event is drawn, with the error that its estimate has.
 
-    off: how often a snapshot, gain or correction is made another.
+    off: how often a snapshot, gain or correction is made another. planted: how often one was, or
+    rounding was made to decide.
     """
 
     rng: np.random.Generator
@@ -128,7 +129,9 @@ class Drawing:
         if kind == "Schmidt":
             gain[at[: max(1, len(at) // 2)]] = 0.0
         elif kind == "any":
-            gain = gain * rng.uniform(0.2, 1.0) + 0.1 * gain.std() * rng.standard_normal(gain.shape)
+            other = gain * rng.uniform(0.2, 1.0, (len(gain), 1))
+            left = np.linalg.eigvals(np.eye(m) - whole @ other)
+            gain = other if np.abs(left).max() <= 1.0 else gain
         correction = gain @ residual
         told = ["gain", "correction"] if kind == "any" else ["gain", "correction", "both", "none"]
         what = str(rng.choice(told if kind != "Schmidt" else told[:3]))
@@ -143,6 +146,9 @@ class Drawing:
         p = keep @ self.p @ keep.T + gain @ r @ gain.T
         self.p = 0.5 * (p + p.T)
         self.error = self.error - correction
+        # Rounding of what there was decides on what is left; neither nothing nor something.
+        left = np.abs(self.p.diagonal()) / np.maximum(self.most**2, 1e-300)
+        self.planted += bool(((left > 1e-15) & (left < 1e-10)).any())
 
     def augment(self) -> None:
         """Draw a new block, with a G_z of any shape."""

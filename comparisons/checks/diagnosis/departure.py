@@ -15,6 +15,7 @@ from comparisons.estimates.reference import Reference
 from comparisons.logs.log import Log
 from comparisons.statistics import ROUNDING
 
+_CHECK_MOTION = ": check the prediction and the prior"
 _NAMED = 4
 """Landmarks that a sentence names."""
 
@@ -43,6 +44,11 @@ class Departure:
         """Return it as a remark."""
         return f"first difference from {self.what} at {self.time_s:.9g} s, {self.event}"
 
+    @property
+    def briefly(self) -> str:
+        """The same without what to check, where the cause is known."""
+        return str(self).removesuffix(_CHECK_MOTION)
+
 
 def departure_from(
     given: ExternalEstimate, sound: Iterable[Reference], log: Log, timeline: Timeline
@@ -61,7 +67,7 @@ def departure_from(
         return None
     time_s, name = max(left, key=lambda one: one[0])  # the first of several
     rows = np.flatnonzero(timeline.epoch_time_s[timeline.measurement_epoch] == time_s)
-    event = "without a measurement: check the prediction and the prior"
+    event = f"without a measurement{_CHECK_MOTION}"
     if len(rows):
         event = f"after {_measured(rows.tolist(), log)}"
     return _departure(given, time_s, name, event, rows.tolist(), log)

@@ -75,6 +75,16 @@ class ReturnsResult(Tally):
     waiting: int
     lost: int
 
+    def parts(self) -> dict[str, int]:
+        """Return all returns by what became of them, each of which is counted once."""
+        return {
+            "fused at once": self.fused,
+            "fused after a delay": self.late,
+            "outside all regions": self.outside,
+            "waiting at the end": self.waiting,
+            "lost while waiting": self.lost,
+        }
+
 
 class DynamicResult(Model):
     """Places where something moves.
@@ -169,7 +179,11 @@ class MapReport(Report[DenseMapping, MapResult]):
             if math.isfinite(error.median_m)
         ]
         layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
-        lines = [("occupied", f"{', '.join(layers)} samples")]
+        parts = [f"{count:,} {what}" for what, count in returns.parts().items() if count]
+        lines = [
+            ("returns", f"{returns.returns:,}: {', '.join(parts)}"),
+            ("occupied", f"{', '.join(layers)} samples"),
+        ]
         if errors:
             lines.append(("surfaces", f"median distance to true ones: {', '.join(errors)}"))
         return Summary(
@@ -221,9 +235,7 @@ def _map_rows(result: MapResult, known: Known) -> list[Row]:
     counts = {
         "scans": returns.scans,
         "returns": returns.returns,
-        "returns fused into regions at once": returns.fused,
-        "returns fused into regions after a delay": returns.late,
-        "returns outside all regions": returns.outside,
+        **{f"returns {what}": count for what, count in returns.parts().items()},
     }
     rows = [*log_rows(result.log), *settings_rows(result.settings)]
     rows += [*ekf_rows(result.ekf), *known.rows]

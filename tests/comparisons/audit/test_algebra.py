@@ -12,7 +12,7 @@ from comparisons.arrays import Array
 from comparisons.audit import algebra
 from comparisons.audit.algebra import AlgebraCheck, Finding, faults_of
 from comparisons.audit.audit import Audit, audit
-from comparisons.audit.faults import PLAIN, digits
+from comparisons.audit.faults import PLAIN, digits, number_text
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.config import CheckConfig
@@ -264,7 +264,7 @@ def test_a_number_that_somebody_has_written_has_few_digits(
 @pytest.mark.parametrize(
     ("most", "said"),
     [
-        (2, "prediction 1: the process noise was not added"),
+        (2, "event 1 (prediction): the process noise was not added"),
         (1, "the covariance at event 3 is not that of the events before it"),
     ],
 )
@@ -327,7 +327,7 @@ def test_after_an_asymmetric_covariance_the_next_fault_is_named() -> None:
     events = BEGIN, MOVE, snapshot(2, skewed), MEASURE._replace(number=4), later
     found = faults_of(events, 1e-6)
     assert any("is asymmetric" in text for text in found)
-    assert found[-1].startswith("update 4 of sensor `gps`: ")
+    assert found[-1].startswith("event 4 (update of sensor `gps`): ")
     assert "S lacks R" in found[-1]
 
 
@@ -335,7 +335,7 @@ def test_an_estimate_is_off_by_the_largest_of_its_numbers() -> None:
     p, after = predicted(P), np.array([1.0, 2.0, 3.0])
     mean = np.array([*after, 7.0]) + np.array([0.01, 0.5, 0.0, 0.0]) * np.sqrt(np.diag(p))
     (found,) = faults_of((BEGIN, MOVE._replace(after=after), snapshot(3, p, mean)), 1e-6)
-    assert found == "prediction 1: the estimate of place is off by 0.5 sigma"
+    assert found == "event 1 (prediction): the estimate of place is off by 0.5 sigma"
 
 
 def test_an_estimate_may_go_round() -> None:
@@ -400,3 +400,74 @@ def test_the_estimate_after_a_prediction_is_checked() -> None:
     assert len(found) == 1
     assert "40" in found[0]
     assert ": the estimate of pose is off by" in found[0]
+
+
+def test_numbers_of_faults_tell_themselves_from_none() -> None:
+    """Never "multiplied by 1"."""
+    assert number_text(1.00001, 1.0) == "1.00001"
+    assert number_text(0.25, 1.0) == "0.25"
+    assert number_text(2.0, 1.0) == "2"
+    assert number_text(1e-7, 0.0) == "1e-07"
+
+
+def test_two_errors_that_explain_a_covariance_alike_are_both_named() -> None:
+    """Without noise, a prediction that is left out is one without F, and nothing tells which."""
+    still = MOVE._replace(noise=np.zeros((3, 3)))
+    (text,) = faults_of((BEGIN, still, snapshot(2, P)), 1e-6)
+    assert "the covariance was not predicted, or F was not applied to the covariance" in text
+    (text,) = faults_of((BEGIN, MOVE, snapshot(2, P)), 1e-6)
+    assert "the covariance was not predicted" in text
+    assert ", or " not in text
+
+
+def test_snapshots_in_a_row_that_differ_are_said_to() -> None:
+    """With nothing between them: none of the known errors is looked for."""
+    for events in ((), (MOVE,)):
+        last = predicted(P) if events else P
+        number = len(events) + 1
+        first = snapshot(number, last)
+        again = first._replace(number=number + 1)
+        assert faults_of((BEGIN, *events, first, again), 1e-6) == ()
+        off = again._replace(covariance=2.0 * last)
+        (text,) = faults_of((BEGIN, *events, first, off), 1e-6)
+        assert text.startswith(f"event {number + 1}: the covariance of block ")
+        assert f"with no event between it and the snapshot at event {number}" in text
+    (text,) = faults_of((BEGIN, snapshot(1, 2.0 * P)), 1e-6)
+    assert "with no event between it and the prior" in text
+
+
+@pytest.mark.parametrize("told", ["correction", "gain", "both"])
+@pytest.mark.parametrize("form", ["schmidt", "fixed"])
+def test_a_gain_of_ones_choice_is_no_fault(form: str, told: str) -> None:
+    """Whatever is recorded of it, if its covariance is Joseph's; with Kalman's it is."""
+    gain, h = gain_of(P)
+    if form == "schmidt":
+        gain[3] = 0.0
+    else:
+        gain = 0.6 * gain + 0.01
+    keep = np.eye(4) - gain @ h
+    p = keep @ P @ keep.T + gain @ R @ gain.T
+    correction = gain @ MEASURE.residual
+    update = MEASURE._replace(number=1)
+    if told != "gain":
+        update = update._replace(correction=correction)
+    if told != "correction":
+        update = update._replace(gain=gain)
+    assert faults_of((BEGIN, update, snapshot(2, p)), 1e-6) == ()
+    assert faults_of((BEGIN, update, snapshot(2, updated(P))), 1e-6) != ()
+    wrong = update._replace(correction=-gain_of(P)[0] @ MEASURE.residual, gain=None)
+    assert faults_of((BEGIN, wrong, snapshot(2, updated(P))), 1e-6) != ()
+
+
+def test_a_perfect_measurement_is_sound() -> None:
+    """R = 0: what is left of the measured variances is rounding, of either sign."""
+    perfect = MEASURE._replace(number=1, noise=np.zeros((2, 2)))
+    gain, h = gain_of(P, np.zeros((2, 2)))
+    p = P - gain @ h @ P
+    assert np.abs(p[:2, :2]).max() < 1e-14
+    odd = np.zeros((4, 4))
+    odd[0, 0], odd[1, 1] = -3e-16, 5e-16
+    for left in (p, 0.5 * (p + p.T) + odd):
+        assert faults_of((BEGIN, perfect, snapshot(2, left)), 1e-6) == ()
+    odd[0, 0] = 1e-4
+    assert faults_of((BEGIN, perfect, snapshot(2, p + odd)), 1e-6) != ()

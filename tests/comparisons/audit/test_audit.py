@@ -384,7 +384,7 @@ def test_a_gain_of_another_matrix_is_named(
     found = audited_line(tmp_path, every, gain=lambda *given: gain(*given[:4]))
     assert found.sound, found.findings
     number = 11 if every == 1 else 9
-    assert found.findings[0].text.startswith(f"update {number} of sensor `range` {text}")
+    assert found.findings[0].text.startswith(f"event {number} (update of sensor `range`) {text}")
 
 
 @pytest.mark.parametrize(
@@ -707,16 +707,19 @@ def unset(r: Array) -> Array:
 
 
 UNSOUND: dict[str, tuple[Callable[[Array], Array], list[str]]] = {
-    "asymmetric": (unset, ["update 11 of sensor `gps`: noise (R) is not symmetric; and 2 more"]),
+    "asymmetric": (
+        unset,
+        ["event 11 (update of sensor `gps`): noise (R) is not symmetric; and 2 more"],
+    ),
     "negative": (
         lambda r: r - 2.0 * np.eye(2),
-        ["update 11 of sensor `gps`: noise (R) has a negative eigenvalue; and 2 more"],
+        ["event 11 (update of sensor `gps`): noise (R) has a negative eigenvalue; and 2 more"],
     ),
     "not a number": (
         lambda r: r * np.nan,
         [
-            "update 11 of sensor `gps`: noise (R) is no numbers, or has one that is not finite or "
-            "too large; and 2 more"
+            "event 11 (update of sensor `gps`): noise (R) is no numbers, or has one that is not "
+            "finite or too large; and 2 more"
         ],
     ),
     "symmetric": (lambda r: unset(r) + unset(r).T, []),
@@ -754,7 +757,11 @@ def test_a_noise_that_is_no_covariance_comes_first_and_what_follows_from_it_is_n
     [
         (True, True, None),
         (False, True, "between events"),
-        (True, False, "renewal 4 of `bias`: F was not applied to the covariance with other blocks"),
+        (
+            True,
+            False,
+            "event 4 (renewal of `bias`): F was not applied to the covariance with other blocks",
+        ),
     ],
 )
 def test_a_covariance_that_is_set_on_purpose_is_recorded(

@@ -13,11 +13,11 @@ import pytest
 from comparisons.adapters.motion import check_regular, with_regular_motion
 from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.logs.column_names import parted
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
-from comparisons.logs.plain_csv import _parted
 from comparisons.logs.readers import read_log
 from tests.commands import slamcheck
 
@@ -112,7 +112,7 @@ def test_a_header_is_a_name_and_a_unit_however_long(
     header: str, parts: tuple[str, str | None]
 ) -> None:
     """A pattern that goes back over blanks would take years for the last two."""
-    assert _parted(header) == parts
+    assert parted(header) == parts
 
 
 def test_a_header_behind_a_hash_as_numpy_writes_it(tmp_path: Path) -> None:
@@ -147,32 +147,53 @@ def test_units_by_option_are_of_one_column_and_its_sigma(tmp_path: Path) -> None
     trees = "id,bearing,range,t\n3,45,2,0.5\n"
     with pytest.raises(InputError, match=r"'bearing' is 45 in radians, .* give --unit bearing=deg"):
         build(files(tmp_path, trees=trees))
-    stated = SIGMAS | WHEELS | {"sigma_bearing_rad": "1", "sigma_range_m": "5cm"}
+    stated = SIGMAS | WHEELS | {"sigma_bearing_rad": "1deg", "sigma_range_m": "5cm"}
     log, _, notes = build(files(tmp_path, trees=trees, units={"bearing": "deg"}, stated=stated))
     assert np.allclose(log.measurements.bearing_rad, np.pi / 4)
     assert np.allclose(log.measurements.sigma_bearing_rad, np.deg2rad(1.0))
     assert np.allclose(log.measurements.sigma_range_m, 0.05)
     assert "bearing_rad from 'bearing' in deg by --unit (0.7854 to 0.7854)" in " ".join(notes)
-    assert "--sigma-bearing 1 is 0.01745 rad: 1 deg, the unit of 'bearing'" in notes
     assert isinstance(log.odometry, VelocityOdometry)
     assert np.allclose(log.odometry.yaw_rate_radps, 0.1)
+
+
+def test_the_unit_of_a_sigma_is_its_own(tmp_path: Path) -> None:
+    """Never that of its column: said where that is another, refused in a file."""
+    trees = "id,bearing_deg,range,t\n3,45,2,0.5\n"
+    stated: dict[str, Any] = SIGMAS | WHEELS | {"sigma_bearing_rad": "0.02"}
+    log, _, notes = build(files(tmp_path, trees=trees, stated=stated))
+    assert log.measurements.sigma_bearing_rad.tolist() == [0.02]
+    said = "--sigma-bearing 0.02 is 0.02 rad, though 'bearing_deg' is in deg: a sigma without a"
+    assert any(note.startswith(said) for note in notes)
     sigmas = "id,bearing_deg,sigma_bearing,range,t\n3,45,2,2,0.5\n"
-    followed = build(files(tmp_path, trees=sigmas, stated=WHEELS | {"sigma_range_m": 0.1})).log
-    assert np.allclose(followed.measurements.sigma_bearing_rad, np.deg2rad(2.0))
+    stated = WHEELS | {"sigma_range_m": 0.1}
+    match = r"'sigma_bearing' names no unit beside 'bearing_deg' in deg, .* sigma_bearing_deg, or"
+    with pytest.raises(InputError, match=match):
+        build(files(tmp_path, trees=sigmas, stated=stated))
+    for trees, units in (
+        (sigmas, {"sigma_bearing": "deg"}), (sigmas.replace("bearing,r", "bearing_deg,r"), {}),
+    ):  # fmt: skip
+        found = build(files(tmp_path, trees=trees, stated=stated, units=units)).log
+        assert np.allclose(found.measurements.sigma_bearing_rad, np.deg2rad(2.0))
+
+
+@pytest.mark.parametrize("sigma", ["1.5deg", "1.5dps", "1.5deg/s", "1.5 degrees/s", "0.0261799"])
+def test_a_sigma_of_rates_may_be_an_angle_a_second(sigma: str, tmp_path: Path) -> None:
+    stated = SIGMAS | {"sigma_speed_mps": 0.1, "sigma_turn": sigma}
+    odometry = VELOCITY.replace("omega", "gyro_z [dps]")
+    log = build(files(tmp_path, odometry, stated=stated)).log
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert np.isclose(log.odometry.noise.sigma_turn, np.deg2rad(1.5))
 
 
 @pytest.mark.parametrize(
     ("units", "stated", "message"),
     [
         ({"bearings": "deg"}, {}, "--unit bearings=deg: no file has such a column that is read"),
-        (
-            {"bearing": "degree"},
-            {},
-            "--unit bearing=degree: the unit is unknown, expected rad, deg",
-        ),
+        ({"bearing": "gon"}, {}, "--unit bearing=gon: the unit is unknown, expected rad, deg"),
         ({"range_m": "mm"}, {}, "--unit range_m=mm: 'range_m' of .* says m, expected the same"),
         ({"odometry:bearing": "deg"}, {}, "no file has such a column"),
-        ({}, {"sigma_turn": "1deg"}, "--sigma-turn is '1deg', expected a number, .* radps, rad/s"),
+        ({}, {"sigma_turn": "1m"}, "--sigma-turn is '1m', expected a number, .* radps, rad/s"),
         ({}, {"sigma_range_m": "x"}, "--sigma-range is 'x', expected a number, or one with a unit"),
     ],
 )
@@ -291,8 +312,8 @@ def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None
 BAD: dict[str, tuple[str, str, str]] = {
     "foreign": (
         "zeit,weg\n0,1\n", TREES,
-        r"odo.csv:1: none of the columns wanted; found zeit, weg; wanted are time_s \(time, t, "
-        r".*, speed_mps \(speed, v, .*; name its columns so, see docs/",
+        r"odo.csv:1: unknown columns: zeit, weg; expected time_s \(time, t, .*, speed_mps \(speed, "
+        r"v, .*; rename the columns or give --column, see docs/",
     ),
     "hashes": (
         VELOCITY, "id,range,bearing,t\n#1,5,0,0.1\n", r"trees.csv: holds no records, .* with # is",
@@ -314,13 +335,14 @@ BAD: dict[str, tuple[str, str, str]] = {
         r"filter and slamcheck audit it, see docs/audit.md\); found id,",
     ),
     "neither": (
-        VELOCITY, "id,dist,azimuth,t\n1,5,0,0.1\n",
+        VELOCITY, "id,abstand,winkel,t\n1,5,0,0.1\n",
         r"trees.csv: no column for range_m, expected one named range or distance, and no column "
-        r"for bearing_rad, expected one named bearing; found id, dist, azimuth, t; name its col",
+        r"for bearing_rad, expected one named bearing; found id, abstand, winkel, t; rename "
+        r"the columns or give --column",
     ),
     "long names": (
         VELOCITY, f"id,{'r' * 20_000},bearing,t\n1,5,0,0.1\n",
-        r"trees.csv: no column for range_m, .*; found id, r{37}\.\.\., bearing, t; name its",
+        r"trees.csv: no column for range_m, .*; found id, r{37}\.\.\., bearing, t; rename the",
     ),
     "trajectory": (
         "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", TREES,
@@ -340,8 +362,8 @@ BAD: dict[str, tuple[str, str, str]] = {
     "no kind": (
         "t,a\n0,1\n",
         TREES,
-        r"odo.csv: odometry: columns of no kind, found t, a; wanted are time and one of velocity: "
-        r"speed or v, yaw_rate or yawrate; steering: .*; see docs/",
+        r"odo.csv: odometry: unknown columns: a; expected beside t one of velocity: "
+        r"speed or v, yaw_rate or yawrate; steering: .*; rename the columns or give --column, see",
     ),
     "unit": ("t [h],v,w\n0,1,0\n", TREES, r"unit 'h' of column 't \[h\]' is unknown, expected s,"),
     "ns": (

@@ -54,7 +54,7 @@ def written(folder: Path, offset_ns: int, late: int = 0, tum: bool = False) -> U
         odometry=folder / "odometry.csv",
         measurements=folder / "trees.csv",
         stated={**SIGMAS, "sigma_turn": 0.02},
-        truth=partial(_read_truth, truth, {}),
+        truth=partial(_read_truth, truth, {}, {}),
     )
 
 
