@@ -2,8 +2,9 @@
 
     python -m benchmarks.trust [--quick]
 
-The parts can be run alone: trust_sound, trust_optimum, trust_association, trust_check, trust_hints,
-trust_bands. --quick takes a few of each, some minutes; in full it is an hour or more on one core.
+The parts can be run alone: trust_sound, trust_damaged, trust_optimum, trust_association,
+trust_check, trust_hints, trust_bands. --quick takes a few of each, some minutes; in full it is an
+hour or more on one core.
 Rows of real logs come where ../shared/data is there. The exit code is 1 where a promise does not
 hold.
 """
@@ -17,6 +18,7 @@ from benchmarks import (
     trust_association,
     trust_bands,
     trust_check,
+    trust_damaged,
     trust_hints,
     trust_optimum,
     trust_sound,
@@ -27,7 +29,7 @@ from benchmarks.trust_row import Row, print_table
 
 def rows(quick: bool) -> Iterator[Row]:
     """Of every part, in the order of docs/verdicts.md."""
-    for part in (trust_sound, trust_optimum, trust_association, trust_check):
+    for part in (trust_sound, trust_damaged, trust_optimum, trust_association, trust_check):
         yield from part.rows(quick)
     car_park = trust_association.DATA / "acfr_car_park"
     yield from trust_hints.rows(quick, str(car_park) if car_park.is_dir() and not quick else "")

@@ -33,11 +33,11 @@ from comparisons.logs.transforms.calibration import Line, controlled, delayed, d
 from graphslam.marginals import SingularProblemError
 
 LOGS, QUICK = 200, 4
-_SAMPLES = 100
+_SAMPLES = 80
 _KINDS = ("velocity", "steering", "poses")
 _FIXES = 6
 _DEGREE = np.pi / 180.0
-_STATED = re.compile(r"(?<!single change )(?<!not )\b(fits? (if|with|an? )|falls from|times too)")
+STATED = re.compile(r"(?<!single change )(?<!not )\b(fits? (if|with|an? )|falls from|times too)")
 """What makes a sentence a statement of fact; a symptom says that nothing fits."""
 
 Change = Callable[[Log, np.random.Generator], Log]
@@ -171,9 +171,9 @@ def turned_positions(fixes: Positions) -> Positions:
 
 DAMAGES = (
     Damage("clockwise bearings", scaled("bearing", (-1.0, 0.0)),
-           r"bearings (grow clockwise|-1 times)"),
+           r"bearings (grow clockwise|-\S+ times)"),
     Damage("clockwise turns", scaled("turn", (-1.0, 0.0)),
-           r"grows clockwise|(turns|angles|rates)\D* -1 times"),
+           r"grows clockwise|(turns|angles|rates)\D* -\S+ times"),
     Damage("bearings in degrees", scaled("bearing", (_DEGREE, 0.0)),
            r"bearings (are rad|\S+ times)"),
     Damage("ranges in cm", scaled("range", (100.0, 0.0)),
@@ -235,7 +235,7 @@ def statements(log: Log) -> list[str]:
     beside = [one.hint for one in verdict.causes] + [
         one.evidence for one in verdict.causes if one.gap not in ("log", "noise")
     ]
-    said += [one for one in (*beside, *verdict.remarks) if _STATED.search(one)]
+    said += [one for one in (*beside, *verdict.remarks) if STATED.search(one)]
     return list(dict.fromkeys(said))
 
 

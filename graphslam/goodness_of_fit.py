@@ -179,8 +179,7 @@ class Goodness:
     @cached_property
     def worst(self) -> Part | None:
         """The part that is farthest outside its band; None where all parts are inside."""
-        outside = [part for part in self._parts if part.p_value < self._limit(part)]
-        return min(outside, key=lambda part: part.p_value / self._limit(part), default=None)
+        return min(self._outside, key=lambda part: part.p_value, default=None)
 
     @property
     def sound(self) -> bool:
@@ -190,10 +189,8 @@ class Goodness:
     @property
     def within(self) -> bool:
         """No part has more than the stated noise; it may have less."""
-        outside = (part for part in self._parts if part.p_value < self._limit(part))
-        return self.test.reading != "too high" and not any(
-            part.value > part.expected for part in outside
-        )
+        more = (part.value > part.expected for part in self._outside if part.how != "order")
+        return self.test.reading != "too high" and not any(more)
 
     @cached_property
     def departure(self) -> Part | None:
@@ -202,35 +199,26 @@ class Goodness:
         Its `first` is the pose of the first of its residuals outside their band, if there is one.
         None where all parts are inside.
         """
-        sizes = [part for part in self._parts if part.how == "size" and part.expected < part.value]
-        outside = [part for part in sizes if part.p_value < self._limit(part)]
-        most = max(outside, key=lambda part: part.excess, default=self.worst)
+        sizes = [one for one in self._outside if one.how == "size" and one.expected < one.value]
+        most = max(sizes, key=lambda part: part.excess, default=self.worst)
         if most is None or most.how == "single":
             return most
         singles = [
             part.first
-            for part in self._parts
+            for part in self._outside
             if part.how == "single"
-            and part.p_value < self._limit(part)
             and part.component == most.component
             and most.landmark in (-1, part.landmark)
             and most.first <= part.first <= most.last
         ]
         return most._replace(first=min(singles), how="first") if singles else most
 
-    def _limit(self, part: Part) -> float:
-        """Of a p-value, such that a share LEVEL of right problems has one below."""
-        return 0.5 * LEVEL / self._counts[part.how == "single"]
-
     @cached_property
-    def _counts(self) -> tuple[int, int]:
-        """How many parts are of several residuals, and how many of one."""
-        singles = sum(part.how == "single" for part in self._parts)
-        return len(self._parts) - singles, singles
-
-    @cached_property
-    def _parts(self) -> list[Part]:
-        return list(_parts(self.problem, self.graph, self.values))
+    def _outside(self) -> list[Part]:
+        """Parts outside their bands, such that LEVEL of right problems has any."""
+        parts = list(_parts(self.problem, self.graph, self.values))
+        limit = _limit(sum(part.how != "single" for part in parts))
+        return [part for part in parts if part.how == "single" or part.p_value < limit]
 
 
 def _parts(
@@ -258,9 +246,7 @@ def _parts(
     known &= share > _LEAST_SHARE
     for selected in _groups(rows, known):
         yield from _sizes(rows, right, share, np.flatnonzero(selected))
-    for row in np.flatnonzero(known).tolist():
-        size = abs(float(right[row])) / np.sqrt(share[row])
-        yield _part("single", rows, np.array([row]), (float(erfc(size / np.sqrt(2.0))), size, 0.0))
+    yield from _singles(rows, right, share, np.flatnonzero(known))
     for component, entry in np.unique(np.column_stack((rows.component, rows.entry)), axis=0):
         selected = known & (rows.component == component) & (rows.entry == entry)
         if not selected.any():
@@ -285,6 +271,20 @@ def _groups(rows: Rows, known: Mask) -> Iterator[Mask]:
         for landmark in np.unique(rows.landmark[sensor]):
             if landmark >= 0:
                 yield sensor & (rows.landmark == landmark)
+
+
+def _singles(rows: Rows, right: Array, share: Array, selected: Index) -> Iterator[Part]:
+    """Single residuals outside their band, which is that of all of them together."""
+    size = np.abs(right[selected]) / np.sqrt(share[selected])
+    p_value = erfc(size / np.sqrt(2.0))
+    for number in np.flatnonzero(p_value < _limit(len(selected))).tolist():
+        figures = float(p_value[number]), float(size[number]), 0.0
+        yield _part("single", rows, selected[number : number + 1], figures)
+
+
+def _limit(count: int) -> float:
+    """Of p-values, such that half of LEVEL of right problems has one of so many below."""
+    return 0.5 * LEVEL / max(count, 1)
 
 
 def _sizes(rows: Rows, right: Array, share: Array, selected: Index) -> Iterator[Part]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks import bench, dense_maps, peers
+from benchmarks import bench, dense_maps, peers, trust_damaged
 from benchmarks.script import options
 from benchmarks.timing import Pair, Side, Spent, interleaved
 from benchmarks.timing import run as ran
@@ -56,6 +56,7 @@ BENCHMARKS = (
     Benchmark("suboptimal --crossing --states 100 150", slice(2, None), "100 ; 150 "),
     Benchmark("suboptimal --size 200x20 --gains 0 0.5", slice(2, None), r"0e\+00; 5e-01"),
     Benchmark("trust_sound --quick", slice(2, None), "; ".join((r".*\| yes \|$",) * 3)),
+    Benchmark("trust_damaged --quick", slice(2, None), r".*\| yes \|$"),
     Benchmark("trust_bands --quick", slice(2, None), "; ".join((r".*\| yes \|$",) * 11)),
     Benchmark(
         "audit_speed --events 3000 --rounds 1",
@@ -91,6 +92,21 @@ def test_a_benchmark_runs(one: Benchmark) -> None:
     printed = [" ".join(line.split()) for line in run("-m", f"benchmarks.{name}", *arguments)]
     for line, begins in zip(printed[one.rows], one.lines.split("; "), strict=True):
         assert re.match(begins, line), line
+
+
+def test_statements_about_a_damaged_log_are_judged() -> None:
+    """One that names neither fault counts, whatever else is right; a symptom states nothing."""
+    said = ["the log fits if bearings grow clockwise", "the log fits with a noise of the range 3"]
+    found = trust_damaged.judged("a log", said, ["clockwise", "^$"])
+    assert (found.right, found.wrong) == (said[:1], said[1:])
+    for symptom in ("no single change makes the log fit: chi-square 9", "do not fit it"):
+        assert not trust_damaged.STATED.search(symptom)
+    for fact in (
+        *said,
+        "about 2.1 times too small",
+        "and were rejected; they fit an offset of 2 m",
+    ):
+        assert trust_damaged.STATED.search(fact)
 
 
 @pytest.mark.slow

@@ -159,3 +159,18 @@ def test_the_report_says_what_was_rejected_in_streaks() -> None:
     assert any("in series of 5 or more" in remark for remark in result.remarks)
     rows = {row.quantity: row.value for row in run_rows(c, result) if row.group == "EKF"}
     assert rows["most GPS positions rejected in a row"] == str(result.ekf.longest_streak)
+
+
+def test_the_remark_says_what_its_figures_say() -> None:
+    """Broken variant: none of them fit, "so the filter should have used them"."""
+    number = np.arange(6)
+    for unfit, said, unsaid in (
+        (6, "6 do not pass it there either", "of the rejected positions pass"),
+        (0, "6 of the rejected positions pass the same gate", "do not pass"),
+        (2, "4 of the rejected positions pass", ""),
+    ):
+        found = RejectedFixes(20, number, streaks(number), number < unfit)
+        (remark,) = found.remarks
+        assert said in remark
+        assert not unsaid or unsaid not in remark
+        assert "should have" not in remark

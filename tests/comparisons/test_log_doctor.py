@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.odometry_drives import drive
+from comparisons.checks.diagnosis import log_doctor
 from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.checks.diagnosis.log_fit import fitted_numbers, promising, solve_by_run
 from comparisons.jobs.run import Comparison
@@ -205,3 +206,19 @@ def test_a_sound_log_has_none(log: Log) -> None:
     found = compared(log)
     assert found.verdict.outcome == "agree"
     assert not fits_of(found)
+
+
+def test_a_long_log_has_to_fit_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bearings that grow clockwise in the first part alone; broken: that part speaks for all."""
+    monkeypatch.setattr(log_doctor, "_MOST_MEASUREMENTS", 200)
+    right = drive(7, "velocity", 200)
+    seen = right.measurements
+    middle_s = np.sort(seen.time_s)[240]
+    sign = np.where(seen.time_s < middle_s, -1.0, 1.0)
+    half = replace(right, measurements=replace(seen, bearing_rad=sign * seen.bearing_rad))
+    found = examine(half)
+    assert not found.findings
+    assert "of its first " in found.words
+    assert "no single change fits" in found.words
+    whole = examine(sensed(right, bearing=(-1.0, 0.0)))
+    assert "bearings grow clockwise" in whole.words
