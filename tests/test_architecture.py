@@ -17,10 +17,13 @@ ALLOWED = {
 STANDARD = {
     "__future__",
     "abc",
+    "bz2",
     "collections",
+    "contextlib",
     "ctypes",
     "dataclasses",
     "functools",
+    "gzip",
     "importlib",
     "itertools",
     "math",
@@ -29,6 +32,7 @@ STANDARD = {
     "tempfile",
     "types",
     "typing",
+    "zlib",
 }
 TESTED = ("ekf_reference", "graphslam")
 """Packages whose tests run with a copy of the package and of these tests alone."""

@@ -41,7 +41,7 @@ _FEWEST = 5
 """Positions; of fewer, the middle one says nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UnusedPositions:
     """Positions within the optimum's time that nobody has used.
 
