@@ -40,7 +40,7 @@ class Beginning:
     turns: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Duplicate:
     """Two landmarks at one place.
 
@@ -187,5 +187,5 @@ def _beginning(log: Log, run: EkfRun, first: int, second: int) -> Beginning | No
 
 def _turns(measured_rad: float, expected_rad: float) -> int:
     """By how many whole turns bearings in (-pi, pi] differ."""
-    apart = measured_rad - float(wrap_angle(expected_rad))
-    return int(np.round((apart - float(wrap_angle(apart))) / (2.0 * np.pi)))
+    apart = measured_rad - float(np.angle(np.exp(1j * expected_rad)))
+    return int(np.round((apart - float(np.angle(np.exp(1j * apart)))) / (2.0 * np.pi)))
