@@ -292,11 +292,12 @@ def independent(values: Array) -> float:
     """Return how many independent numbers have a mean as certain as that of a series (n,).
 
     n over 1 + 2 sum r_k with autocorrelations about zero, which is where the series belongs, summed
-    until two neighbours cancel (Geyer 1992, section 3.3, initial positive sequence).
+    until two neighbours cancel (Geyer 1992, section 3.3, initial positive sequence). Of a series of
+    vectors (n, d) the products of all components are taken together.
     """
     n = len(values)
-    spectrum = np.fft.rfft(values, 2 * n)
-    r = np.fft.irfft(spectrum * spectrum.conj(), 2 * n)[:n]
+    spectrum = np.fft.rfft(values.reshape(n, -1), 2 * n, axis=0)
+    r = np.fft.irfft(spectrum * spectrum.conj(), 2 * n, axis=0)[:n].sum(axis=1)
     if not r[0] > 0.0:
         return float(n)
     pairs = r[: n - n % 2].reshape(-1, 2).sum(axis=1) / r[0]

@@ -23,7 +23,7 @@ from comparisons.checks.position_gate import residuals
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses, Positions
 from comparisons.plane import rms
-from comparisons.statistics import chi2_quantile
+from comparisons.statistics import chi2_quantile, independent
 from comparisons.words import Cause, Explanation, Row
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.models.position import PositionModel
@@ -155,25 +155,6 @@ def unused_positions(positions: Positions, smoothed: Estimate) -> UnusedPosition
         return judged
     seen = Seen(positions.time_s, positions.position_m, covariance, positions.antenna_m)
     return UnusedPositions(**{**vars(judged), "fit": position_fit(seen, path)})
-
-
-def independent(whitened: Array) -> float:
-    """Return how many independent errors tell as much as errors (N, n) in order of time.
-
-    N / (1 + 2 sum rho_k), the sum up to the first pair of correlations whose sum is not positive
-    (Geyer 1992). They are about zero, not about their mean: an offset is one error.
-    """
-    count, power = len(whitened), float((whitened**2).sum())
-    if not power:
-        return float(count)
-    size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(whitened, size, axis=0)
-    products = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[:count].sum(axis=1)
-    correlation = products / products[0] if products[0] else np.zeros(count)
-    pairs = correlation[: count // 2 * 2].reshape(-1, 2).sum(axis=1)
-    stop = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
-    total = 2.0 * float(pairs[:stop].sum()) - 1.0
-    return float(np.clip(count / max(total, 1e-12), 1.0, count))
 
 
 def _inside(positions: Positions, smoothed: Estimate) -> Positions:

@@ -14,7 +14,6 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.qualifiers import CONTRADICTED
 from comparisons.checks.unused_positions import (
     UnusedPositionsFinding,
-    independent,
     unused_positions,
 )
 from comparisons.config import EkfConfig
@@ -22,6 +21,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.jobs.run import Modified
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
+from comparisons.statistics import independent
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter
