@@ -61,6 +61,14 @@ def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(
         assert kept_fields(kind).keys() <= meanings(kind).keys()
 
 
+POSITIONS = {"positions", "unused_positions"}
+"""Checks that need absolute positions."""
+NO_POSITIONS = {
+    "association": "by the log's labels",
+    "unused_positions": "absolute positions that no estimator has used",
+}
+
+
 def unaccounted(c: Comparison) -> list[str]:
     """Checks that neither found something nor said why not, or did both."""
     return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.known.absent)]
@@ -70,9 +78,9 @@ def unaccounted(c: Comparison) -> list[str]:
 @pytest.mark.parametrize(
     ("change", "association", "lacking"),
     [
-        (as_it_is, "known", {"association", "positions"}),
-        (as_it_is, "nn", {"positions"}),
-        (bare, "known", {"accuracy", "association", "positions", "truth_gap"}),
+        (as_it_is, "known", {"association", *POSITIONS}),
+        (as_it_is, "nn", {*POSITIONS}),
+        (bare, "known", {"accuracy", "association", "truth_gap", *POSITIONS}),
     ],
 )
 def test_a_check_finds_or_says_what_the_log_lacks(
@@ -133,9 +141,9 @@ def jobs() -> dict[str, tuple[Known, Report[Any, Any]]]:
 @pytest.mark.parametrize(
     ("job", "lacking"),
     [
-        ("run", {"association": "by the log's labels", "positions": "no absolute positions"}),
-        ("check", {"association": "by the log's labels", **dict.fromkeys(OF_EVENTS, "no trace")}),
-        ("solve", {"association": "by the log's labels", **dict.fromkeys(OF_EVENTS, "no filter")}),
+        ("run", {**NO_POSITIONS, "positions": "no absolute positions"}),
+        ("check", {**NO_POSITIONS, **dict.fromkeys(OF_EVENTS, "no trace")}),
+        ("solve", {**NO_POSITIONS, **dict.fromkeys(OF_EVENTS, "no filter")}),
     ],
 )
 def test_every_job_asks_every_check_and_shows_what_it_says(
