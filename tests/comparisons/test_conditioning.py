@@ -157,15 +157,15 @@ def test_a_wide_prior_is_no_fault_of_the_filter(sigma_m: float) -> None:
     assert c.agreement.algebra.covariance < 0.25 * c.gaps.rounding.covariance
     assert c.agreement.model.covariance < 0.25 * c.gaps.rounding.covariance
     assert c.verdict.outcome == "agree"
-    said = any("double precision tells" in remark for remark in c.verdict.remarks)
+    said = any("double precision resolves" in remark for remark in c.verdict.remarks)
     assert said == (c.gaps.rounding.covariance > 1e-4)
 
 
 def test_what_rounding_hides_is_no_verdict() -> None:
-    """With a prior of 1e5 m double precision tells nothing of the filter's algebra."""
+    """With a prior of 1e5 m double precision resolves nothing of the filter's algebra."""
     c = compared(with_prior_of(1e5))
     assert c.verdict.outcome == "unverified"
-    assert "double precision tells" in c.verdict.causes[0].evidence
+    assert "double precision resolves" in c.verdict.causes[0].evidence
 
 
 @pytest.mark.slow
@@ -208,7 +208,7 @@ def test_a_filter_that_rounding_breaks_down_is_not_blamed() -> None:
     c = compared(fine(standing_still(simulated(5004, loop_s=20.0), 5.0, 86_400.0)))
     assert c.ekf.breakdown
     assert c.verdict.outcome == "unverified"
-    assert "double precision tells" in c.verdict.causes[0].evidence
+    assert "double precision resolves" in c.verdict.causes[0].evidence
     assert c.ekf.breakdown in c.verdict.remarks[0]
 
 
