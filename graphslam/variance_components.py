@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, diags, identity
@@ -23,6 +24,7 @@ from scipy.special import gammaincinv
 
 from graphslam.arrays import Array, Index
 from graphslam.graph_builder import COMPONENTS, row_components
+from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherResult
 from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
 
@@ -73,8 +75,24 @@ def variance_components(result: SmootherResult) -> tuple[Component, ...]:
     Returns:
         In the order of COMPONENTS.
     """
-    component = row_components(result.problem)
-    jacobian, residual = sparse_system(result.graph, result.values, len(component))
+    return components_of(result.problem, result.graph, result.values)
+
+
+def components_of(
+    problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[Component, ...]:
+    """Return every component of a problem.
+
+    Args:
+        problem: What is known.
+        graph: Its graph, without a robust kernel.
+        values: Its optimum.
+
+    Returns:
+        In the order of COMPONENTS.
+    """
+    component = row_components(problem)
+    jacobian, residual = sparse_system(graph, values, len(component))
     return estimate_components(jacobian, residual, component)
 
 

@@ -26,6 +26,7 @@ from comparisons.checks.diagnosis.log_fit import (
     promising,
     solve_by_run,
 )
+from comparisons.checks.diagnosis.other_noise import has_stated_noise
 from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -85,13 +86,17 @@ class Examination(NamedTuple):
 
 
 class _Suspicion(NamedTuple):
-    """change: the log as it should be. keeps_size: of all residuals, as a sign does."""
+    """change: the log as it should be. keeps_size: of all residuals, as a sign does.
+
+    sensors: whose sigmas it changes; their residuals have to tell the noise that is then stated.
+    """
 
     what: str
     mend: str
     change: Callable[[Log], Log]
     keeps_size: bool = False
     unit: bool = False
+    sensors: tuple[str, ...] = ()
 
 
 class _Tested(NamedTuple):
@@ -177,7 +182,7 @@ def _named(tested: _Tested, suspicions: list[_Suspicion]) -> list[LogFit]:
             continue
         goodness = solved.goodness
         if promising(test, solved.chi2, len(suspicions)):
-            fit = goodness.sound
+            fit = goodness.sound and has_stated_noise(goodness, one.sensors)
         else:
             fit = one.keeps_size and far_less(goodness.test, test) and goodness.within
         if fit:
@@ -350,17 +355,19 @@ def _as_variances(log: Log) -> Iterator[_Suspicion]:
                 f"the sigma of {what}s, {sigma:.4g}, is a variance",
                 f"give --sigma-{what} {np.sqrt(sigma):.4g}",
                 partial(_rooted, names=(name,)),
+                sensors=(what,),
             )
     if len(below_one) == 2:
         yield _Suspicion(
             "the sigmas of ranges and bearings are variances", "give their square roots",
-            partial(_rooted, names=tuple(below_one)),
+            partial(_rooted, names=tuple(below_one)), sensors=("range", "bearing"),
         )  # fmt: skip
     sigma = float(np.median(seen.sigma_bearing_rad)) / _DEGREE
     yield _Suspicion(
         "the sigma of bearings is in radians and was taken for degrees",
         f"give --sigma-bearing {sigma:.4g}rad",
         lambda g: _with_sigmas(g, sigma_bearing_rad=g.measurements.sigma_bearing_rad / _DEGREE),
+        sensors=("bearing",),
     )
     moved = log.odometry
     if not isinstance(moved, RelativePoses):
@@ -371,6 +378,7 @@ def _as_variances(log: Log) -> Iterator[_Suspicion]:
             "the sigmas of the odometry are variances",
             f"give --sigma-speed {speed:.4g} --sigma-turn {turn:.4g}",
             lambda g: replace(g, odometry=rooted),
+            sensors=("odometry",),
         )
 
 

@@ -9,8 +9,11 @@ from comparisons.statistics import WORDS
 from graphslam.goodness_of_fit import Goodness, rescaled
 from graphslam.optimum import ChiSquareTest
 from graphslam.smoother import SmootherResult
-from graphslam.variance_components import Component
+from graphslam.variance_components import Component, components_of
 
+_TOLD = 1.5
+"""Largest upper end over lower end of the interval of a noise that is named: what is told worse
+takes up any misfit."""
 NAMES = {"position": "positions", "pose landmark": "pose landmarks", "loop closure": "closures"}
 """Of components, where reports call them otherwise."""
 
@@ -33,14 +36,14 @@ def other_noises(result: SmootherResult, components: Sequence[Component]) -> lis
     With it the whole lies in its band, that sensor's residuals have about one per degree of
     freedom, and all residuals are alike over time, landmarks and sensors.
 
-    components: of the result's residuals. Those whose noise is the stated one, or that were not
-    found, explain nothing.
+    components: of the result's residuals. Those whose noise is the stated one, that were not found,
+    or that the residuals leave open, explain nothing.
     """
     stated = Goodness(result.problem, result.graph, result.values)
     explaining = []
     for component in components:
         low, high = component.interval(WORDS)
-        if not component.settled or low <= 1.0 <= high:
+        if not _told(component) or low <= 1.0 <= high:
             continue
         try:
             goodness = rescaled(stated, component.name, component.factor)
@@ -49,3 +52,25 @@ def other_noises(result: SmootherResult, components: Sequence[Component]) -> lis
         if goodness.sound:
             explaining.append(OtherNoise(component, goodness.test))
     return explaining
+
+
+def has_stated_noise(goodness: Goodness, names: Sequence[str]) -> bool:
+    """Whether the residuals tell that some sensors have about the noise that is stated of them.
+
+    names: of components.
+    """
+    components = components_of(goodness.problem, goodness.graph, goodness.values)
+    asked = [one for one in components if one.name in names]
+    return all(_told(one) and _holds(one) for one in asked)
+
+
+def _told(component: Component) -> bool:
+    """Whether its noise was found, and surely."""
+    low, high = component.interval(WORDS)
+    return component.settled and high <= _TOLD * low
+
+
+def _holds(component: Component) -> bool:
+    """Whether that is the stated one."""
+    low, high = component.interval(WORDS)
+    return low <= 1.0 <= high
