@@ -14,9 +14,9 @@ GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 PLAIN = """
 alike area attributes beyond certain checked claimed closed common computed condition corners
 duplicates duration ever failed fastest five found gain gained guess half jointly judgement kind
-labelled last leaves left match matched median merged merges moves name occupied reached rejects
-restarts rule searches second shift smallest splits stamps steps these trial tried turn unchanged
-under wheels
+labelled last leaves left match matched median merged merges middle moves name nobody occupied
+reached rejects restarts rule searches second shift smallest splits stamps steps these trial tried
+turn unchanged under wheels
 """
 """Words of rows that mean what they mean elsewhere."""
 TEXTS = {"Row": 2, "Named": 1, "rows_of": 1}
