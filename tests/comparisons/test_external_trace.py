@@ -401,7 +401,9 @@ def test_each_kind_of_record_that_differs_is_named(
     found = checked(tmp_path, log, choices)
     causes = present(found.trace).verdict.causes  # the estimate itself is right
     (said,) = [one.evidence for one in causes if one.gap == "model"]
-    assert re.search(r"Jacobian with respect to [\w ]+ differs [^;]* landmark initialisations", said)
+    assert re.search(
+        r"Jacobian with respect to [\w ]+ differs [^;]* landmark initialisations", said
+    )
     assert re.search(r"the noise covariance differs [^;]* landmark initialisations", said)
     wrong = re.search(r"the Jacobian with respect to heading differs [^;]* predictions", said)
     assert (wrong is not None) is steps
