@@ -667,7 +667,8 @@ class AlgebraCheck:
         cause = localise(start, self._kept, snapshot, self.tolerance, self._known, least)
         if cause.kind not in self._known:
             self._searched += 1
-        if self._open and not self._tells_gains() and not self._is_of_open(cause):
+        tells = self._tells_gains() or (weight >= 0.0 and self._is_of_open(cause))
+        if self._open and not tells:
             self._allow(snapshot.covariance, _UNTOLD)
             return False
         finding = self._finding(cause, snapshot)
