@@ -201,10 +201,10 @@ class LogSection(Section):
 
 
 _GPS = (
-    "Absolute positions (GPS). on: fuse all; half: fuse every second one and hold the others out "
-    "as a reference"
+    "Absolute positions (GPS). on: fuse all; half: fuse those of every second block of 60 s "
+    "and hold the others out as a reference"
 )
-_GPS_HELP = "GPS: off, on, or half (hold out every second one). [off]"
+_GPS_HELP = "GPS: off, on, or half (hold out every second minute). [off]"
 
 
 class EkfConfig(Section):

@@ -37,6 +37,10 @@ LEAST_GAIN = 1e-4
 SHARE = 0.6
 """Of all states in an area from which on the exact compressed filter takes them all: to keep phi
 would cost more than it saves."""
+HOLD_OUT_BLOCK_S, LEAST_BLOCKS = 60.0, 4
+"""Length of the blocks of positions of which every second one is held out, and the least number of
+them, for which they are shorter. A receiver's errors are alike over some ten seconds: what lies
+between two that are fused shows how well a filter follows the receiver."""
 NO_GATE = float("inf")
 """Of labels and positions in Misono's published filter, which rejects nothing."""
 WIDER = 2.0
@@ -173,7 +177,15 @@ def _fused(log: Log, choices: EkfConfig) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     time = log.positions.time_s
     inside = np.flatnonzero((time >= log.prior.time_s) & (time <= log.end_s))
-    return inside[::2] if choices.gps == "half" else inside
+    if choices.gps != "half" or not len(inside):
+        return inside
+    since_s = time[inside] - time[inside[0]]
+    return inside[since_s // hold_out_block_s(since_s[-1]) % 2 == 0]
+
+
+def hold_out_block_s(duration_s: float) -> float:
+    """Return the length of blocks of positions. duration_s: from the first position to the last."""
+    return min(HOLD_OUT_BLOCK_S, duration_s / LEAST_BLOCKS) or HOLD_OUT_BLOCK_S
 
 
 def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions | None:
