@@ -59,10 +59,10 @@ SHELVES = {
     ),
     "results' records": Shelf(
         _tests(
-            "test_results.py::test_the_pages_in_the_repository_are_those_of_the_records",
-            "test_results.py::test_earlier_results_are_those_without_a_record",
+            "research/test_results.py::test_the_pages_in_the_repository_are_those_of_the_records",
+            "research/test_results.py::test_earlier_results_are_those_without_a_record",
         ),
-        ("docs/results", "docs/earlier-results.md", "benchmarks/re"),
+        ("docs/results", "docs/earlier-results.md", "research/re"),
     ),
     "release": Shelf(
         _tests("test_fresh_environment.py", "test_own_project.py", "test_packages.py"),
@@ -77,7 +77,7 @@ SHELVES = {
         ),
         ("comparisons/report/html/", "comparisons/report/viewer.py"),
     ),
-    "benchmarks": Shelf(_tests("test_benchmarks.py"), ("benchmarks/",)),
+    "research": Shelf(_tests("research/"), ("research/",)),
     "studies": Shelf(
         _of_comparisons("montecarlo/", "test_bands.py", "test_repeat.py"),
         (

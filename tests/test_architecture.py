@@ -283,7 +283,7 @@ def mentions(source: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_nothing_that_only_tests_and_benchmarks_use() -> None:
+def test_the_wheel_holds_nothing_that_only_tests_and_research_use() -> None:
     known = modules(*HOUSE, "slamcheck")
     edges = {name: set(mentions(path.read_text())) & set(known) for name, path in known.items()}
     starts = [name for name in known if name.startswith(("slamcheck", "comparisons.cli"))]

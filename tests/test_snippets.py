@@ -349,7 +349,7 @@ def test_a_fragment_is_told_from_a_whole() -> None:
     assert not whole("print(y)\n")
 
 
-NAMED = re.compile(r"\b((?:examples|benchmarks|docs|tests)/[\w./-]+\.(?:py|md|ipynb|cpp|toml|png))")
+NAMED = re.compile(r"\b((?:examples|research|docs|tests)/[\w./-]+\.(?:py|md|ipynb|cpp|toml|png))")
 EXTRA = re.compile(r"slamcheck\[([\w,]+)\]")
 
 

@@ -5,7 +5,7 @@ settings, give other partitions and other optima. Two partitions differ where it
 optima are apart by more than the optimum is uncertain. Such a variant speaks against the
 association, unless it explains the measurements worse; of several that find it elsewhere, none need
 explain them better. The figures are chosen by cross-validation over simulated sensors (see
-benchmarks/trust_association.py).
+research/trust/association.py).
 """
 
 from __future__ import annotations

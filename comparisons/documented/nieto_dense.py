@@ -9,7 +9,7 @@ from comparisons.documented.row import AnyBut, Documented
 CAR_PARK = {"log.format": ("acfr-car-park",)}
 OTHERS = {"log.format": AnyBut(("acfr-car-park",))}
 _FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
-_BY = " (benchmarks/dense_maps.py)"
+_BY = " (research/dense_maps.py)"
 
 ROWS = (
     Documented(
@@ -152,7 +152,7 @@ ROWS = (
         reason="to bound their number: after ten rounds of occupancy-loop 17,087 particles instead "
         "of 51,902, of which 73 % instead of 91 % weigh more than 0.8, and 12,823 Gaussians "
         "instead of 32,249; from the surfaces, both are 1.03 times as far as raw returns either "
-        "way (benchmarks/dense_maps.py --particles)",
+        "way (research/dense_maps.py --particles)",
     ),
     Documented(
         place="N 4.2.3", what="weight below which a particle is dropped: not subsampled", value=0.0,

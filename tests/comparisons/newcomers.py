@@ -1,4 +1,4 @@
-"""Logs of a newcomer, and sound filters of other kinds than `benchmarks/strangers.py` has."""
+"""Logs of a newcomer, and sound filters of other kinds than `research/trust/strangers.py` has."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from benchmarks.strangers import Array, Ekf, measured, wrapped
+from research.trust.strangers import Array, Ekf, measured, wrapped
 
 NANOSECOND = 1e-9
 

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from benchmarks.coverage import Coverage, Figure, coverage, figures_of, wrong
-from benchmarks.drives import sound_log, sound_run
 from comparisons import innovations, statistics
 from comparisons.checks.consistency import consistency
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
@@ -22,6 +20,8 @@ from comparisons.jobs.run import Comparison
 from comparisons.logs.odometry import RelativePoses
 from comparisons.statistics import Band, Whiteness, mean_band, whiteness
 from graphslam.optimum import chi_square_test
+from research.trust.coverage import Coverage, Figure, coverage, figures_of, wrong
+from research.trust.drives import sound_log, sound_run
 from tests.helpers import Array, altered
 
 RUNS = 80
@@ -84,7 +84,7 @@ def test_a_sound_log_states_the_noise_that_it_has() -> None:
 
 @pytest.mark.slow
 def test_every_band_covers_its_nominal_share() -> None:
-    """benchmarks/trust_bands.py has 400 longer drives, with and without positions."""
+    """research/trust/bands.py has 400 longer drives, with and without positions."""
     table = judged_anew()
     assert len(table) > 60
     assert {one.runs for one in table} == {RUNS}

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.exports import EXPORTS
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
@@ -32,6 +31,7 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.references import filter_named
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckResult
+from research.trust.exports import EXPORTS
 from tests.commands import slamcheck, works
 from tests.helpers import present
 from tests.test_own_project import missing

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.drives import open_case
 from comparisons.audit.audit import audit
 from comparisons.config import CheckConfig, EkfConfig, MapConfig, SmootherConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
@@ -19,6 +18,7 @@ from comparisons.pipeline.solve import solve
 from comparisons.report.sections import ekf_result
 from comparisons.trace.reader import Trace
 from ekf_reference.core.landmark_types import POINT
+from research.trust.drives import open_case
 from tests.comparisons.audit.toy_filter import Toy
 from tests.helpers import altered, compared, first_seconds, present, simulated, without_labels
 

@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.defects import CAUSES, named_first, run_defect, shows
-from benchmarks.drives import LOGS, open_case
 from comparisons.errors import InputError
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Fault, Method, Plant, observing, stepping
@@ -18,6 +16,8 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.position import PositionModel
+from research.trust.defects import CAUSES, named_first, run_defect, shows
+from research.trust.drives import LOGS, open_case
 from tests.helpers import Array, assert_followed, compared, simulated
 
 SEEDS = 12

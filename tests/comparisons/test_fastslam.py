@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from benchmarks.fastslam import with_wheelbase
-from benchmarks.posterior_sampling import circle, draw_problem
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.fastslam.check import LEVEL, check_clouds, check_exact
@@ -26,6 +24,8 @@ from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.report.run import RunReport
+from research.fastslam import with_wheelbase
+from research.posterior_sampling import circle, draw_problem
 from tests.helpers import present
 
 
@@ -183,7 +183,7 @@ def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> N
 
 @pytest.mark.slow
 def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> None:
-    """A loop with 0.1 rad of noise a step, of benchmarks/posterior_sampling.py."""
+    """A loop with 0.1 rad of noise a step, of research/posterior_sampling.py."""
     log = draw_problem(circle(), np.random.default_rng(0)).log
     given = RunConfig.model_validate({"extensions": {"fastslam": {"clouds": 64}}})
     comparison = compare(log, given)

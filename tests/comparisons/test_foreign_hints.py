@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.stranger_faults import FORGETFUL, HINTS, Fault
-from benchmarks.strangers import Single
-from benchmarks.trust_hints import IN_SINGLE, Case, checked, hint_parts, simulated
 from comparisons.checks.algebra import HINT
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
@@ -14,6 +11,9 @@ from comparisons.faults.fault import Method, moving
 from comparisons.jobs.external_trace import TraceCheck
 from comparisons.jobs.run import Modified
 from ekf_reference.models.motion import MotionStep
+from research.trust.hints import IN_SINGLE, Case, checked, hint_parts, simulated
+from research.trust.stranger_faults import FORGETFUL, HINTS, Fault
+from research.trust.strangers import Single
 from tests.helpers import Array, compared
 from tests.helpers import simulated as driven
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.exports import EXPORTS, FEEDS
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.filter_variants import (
     BackwardEkf,
@@ -40,6 +39,7 @@ from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.words import Cause
 from ekf_reference.core.ekf import Ekf
+from research.trust.exports import EXPORTS, FEEDS
 from tests.commands import slamcheck
 from tests.helpers import present
 

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.stranger_faults import Plant, changed, instead, scaled, spread
-from benchmarks.strangers import Array, Ekf, read_log
 from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
@@ -22,6 +20,8 @@ from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
 from comparisons.words import Cause
+from research.trust.stranger_faults import Plant, changed, instead, scaled, spread
+from research.trust.strangers import Array, Ekf, read_log
 from tests.comparisons.newcomers import (
     Arc,
     ByRow,

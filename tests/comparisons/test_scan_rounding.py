@@ -12,7 +12,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from benchmarks.scan_car_park import SIZE, perturbed
 from comparisons.adapters import beam_noise
 from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.time_window import cut_log
@@ -25,6 +24,7 @@ from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
 from ekf_reference.scan_matching import scan_shape, search
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from research.scan_car_park import SIZE, perturbed
 from tests.comparisons.scan_rounding import Difference, difference, outcome
 from tests.ekf_reference.scan_matching.scenes import BEAMS, COURT, LASER, YARD, ranges
 from tests.helpers import Array

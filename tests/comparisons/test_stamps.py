@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.stranger_faults import HINTS
-from benchmarks.strangers import Ekf, read_log
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.config import CheckConfig
@@ -32,6 +30,8 @@ from comparisons.logs.stamps import at_instants, resolved
 from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.solve import prepare_solve
 from comparisons.trace.reader import Trace
+from research.trust.stranger_faults import HINTS
+from research.trust.strangers import Ekf, read_log
 from tests.comparisons.newcomers import Course, Euler, simulate
 from tests.helpers import compared, present, simulated
 

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.audit_faults import judge
 from comparisons.audit.audit import audit
 from comparisons.trace.events import Clone, Event, Prior, Snapshot, Update
 from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted
+from research.trust.audit_faults import judge
 from tests.helpers import present
 
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}

@@ -3,7 +3,7 @@
 Every experiment is run twice on the same logs: by the settings that runs use, and by the thesis'
 (`literal`, `--preset nieto-2005`). The worlds are those of the named logs with landmarks among and
 behind the objects: the thesis' regions are triangles of landmarks that enclose objects, and between
-landmarks that line the path there is hardly any (benchmarks/dense_maps.py --correlation --among 0).
+landmarks that line the path there is hardly any (research/dense_maps.py --correlation --among 0).
 """
 
 from __future__ import annotations
@@ -319,7 +319,7 @@ _FEW_CELLS = ours("few returns find a region, so few cells are compared (N3.17)"
 _THINNED = ours(
     "to bound their number, particles that come to lie on a heavier one are dropped, which the "
     "thesis does not do; with all kept (dense_maps.thinned=false) 91 % of 51,902 weigh more than "
-    "0.8 and 2.2 % less than 0.5 (benchmarks/dense_maps.py --particles)"
+    "0.8 and 2.2 % less than 0.5 (research/dense_maps.py --particles)"
 )
 _TAILS = ours(
     "by eq. 4.4 a fourth of a return's samples begin below 0.5 (N4.7), and those that no later "

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from benchmarks.recorded_batch import record
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Layout
 from comparisons.audit.spurious import (
@@ -35,6 +34,7 @@ from comparisons.trace.events import (
     Snapshot,
     Update,
 )
+from research.recorded_batch import record
 from tests.comparisons.montecarlo.worlds import short_world
 from tests.helpers import present
 
