@@ -333,7 +333,10 @@ def run(table: Table, data: Path, work: Path) -> Done:
         ]
         code = "from comparisons.cli.app import main; main()"
         start, fine = ([], {0}) if words[0] == "python" else (["-c", code], {0, 1, 3})
-        out = ["--out", str(done.folders[label])] if start else []
+        if table.reader == "claims":
+            fine = {0, 1}  # claims that do not hold are a result, too
+        writes = start or table.reader != "printed"
+        out = ["--out", str(done.folders[label])] if writes else []
         ended = subprocess.run(
             [sys.executable, *start, *words[1:], *out],
             cwd=ROOT,

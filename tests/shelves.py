@@ -43,8 +43,8 @@ EACH_TIME = _of_comparisons(
 """On no shelf."""
 SHELVES = {
     "the documents' figures": Shelf(
-        _of_comparisons("reproduction/", "test_dense_claims.py", "test_neglected_change.py"),
-        ("comparisons/experiments/reproduction/", "comparisons/documented/"),
+        _tests("research/documents/"),
+        ("research/documents/", "comparisons/documented/"),
     ),
     "tutorials and examples": Shelf(
         _tests(

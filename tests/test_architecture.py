@@ -244,21 +244,56 @@ def test_a_large_positional_dataclass_is_found() -> None:
     assert positional_dataclasses([SMALL + "    last: ClassVar[int] = 0\n"]) == []
 
 
+def on_research(sources: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the modules that import research anywhere, or name a module of it to be loaded.
+
+    sources: name and text of each module.
+    """
+    return [
+        name
+        for name, source in sources
+        if any(one.partition(".")[0] == "research" for one in mentions(source))
+    ]
+
+
+@pytest.mark.slow
+def test_the_product_imports_nothing_of_research() -> None:
+    product = modules(*HOUSE, "slamcheck")
+    assert "slamcheck.__main__" in product
+    assert on_research((name, path.read_text()) for name, path in product.items()) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from research.script import options",
+        "import research.documents.runner as runner",
+        "if TYPE_CHECKING:\n        from research import bench",
+        "shown = resolve_name('research.documents.registry:FIGURES')",
+    ],
+)
+def test_a_product_that_stands_on_research_is_rejected(line: str) -> None:
+    broken = f"def shown():\n    {line}\n"
+    assert on_research([("slamcheck.shown", broken)]) == ["slamcheck.shown"]
+    assert on_research([("slamcheck.shown", broken.replace("research", "researcher"))]) == []
+
+
 def test_nothing_stands_on_experiments() -> None:
-    """But the commands that run them, and rows that say where a constant stands."""
-    commands = {"cli/reproduce.py", "cli/montecarlo.py"}
+    """But the command that runs them."""
     for path in (ROOT / "comparisons").rglob("*.py"):
         name = path.relative_to(ROOT / "comparisons").as_posix()
-        if not name.startswith(("experiments/", "documented/")) and name not in commands:
+        if not name.startswith("experiments/") and name != "cli/montecarlo.py":
             assert "comparisons.experiments" not in path.read_text(), f"{name} names experiments"
 
 
 APART = (
-    "tools.settings_page",  # makes docs/settings.md
-    "tools.options_table",  # makes the table of options
-    "tools.options_types",  # makes their types
     "comparisons.logs.readers.",  # found by the name of a format
-    "ekf_reference.scan_matching.grid_correlation",  # of the documents, for researchers
+    # Of the documents, for research.
+    "ekf_reference.dense.decorrelation",
+    "ekf_reference.dense.layers.quadtree",
+    "ekf_reference.scan_landmarks.local_context",
+    "ekf_reference.scan_landmarks.map_aided_matching",
+    "ekf_reference.scan_matching.grid_correlation",
 )
 """Modules, or beginnings of them, that are in the wheel though nothing in it imports them."""
 

@@ -347,7 +347,6 @@ def dangling(folder: Path) -> None:
 
 
 BEYOND = {
-    "drives": (["reproduce", "N3.5", "--drives", "9" * 30], "expected 1 to 10000"),
     "reach": (
         ["map", "scan-loop", "--set", "extensions.dense_maps.reach_m=1e300"],
         "less than or equal to 10000",
@@ -363,7 +362,7 @@ BEYOND = {
             [*command, "--workers", workers],
             f"slamcheck: --workers is {workers}, expected 1 to 1000",
         )
-        for command in (["montecarlo"], ["reproduce", "N3.5"])
+        for command in (["montecarlo"],)
         for workers in ("0", "-1", "1001", "9223372036854775808")
     },
     **{

@@ -132,7 +132,6 @@ def test_an_argument_of_another_command(tmp_path: Path) -> None:
             ["convert", text, text],
             ["montecarlo", text, "--runs", text],
             ["montecarlo", "--command", text],
-            ["reproduce", text],
             ["config", text],
             [text],
         ):

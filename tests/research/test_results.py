@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from comparisons.cli.app import COMMANDS
-from research import record as module
+from research import record as recorder
 from research.record import (
     ROOT,
     STALE,
@@ -204,14 +204,16 @@ def test_what_a_command_loads_becomes_the_sources(
     """Also by a process that the command starts; what only prints is left out."""
     inner = "import ekf_reference.core.ekf, comparisons.cli.app, comparisons.report.sections"
     outer = f"import subprocess, sys; subprocess.run([sys.executable, '-c', '{inner}']); print(1)"
-    monkeypatch.setattr(module, "_git", lambda *words: "" if words[0] == "status" else "abcdef0123")
+    monkeypatch.setattr(
+        recorder, "_git", lambda *words: "" if words[0] == "status" else "abcdef0123"
+    )
     table = Table(
         name="one", title="One", command=shlex.join(["python", "-c", outer]), seeds="0", minutes=1
     )
     found = make(table, tmp_path)
     assert found.printed == ("1",)
     assert "ekf_reference/core/ekf.py" in found.sources
-    assert not [one for one in found.sources if one.startswith(module.UNHASHED)]
+    assert not [one for one in found.sources if one.startswith(recorder.UNHASHED)]
     assert changed(found) == []
 
 
@@ -219,13 +221,13 @@ def test_what_fails_or_is_not_committed_is_not_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = Table(name="one", title="One", command="python -c 1/0", seeds="0", minutes=1)
-    monkeypatch.setattr(module, "_git", lambda *words: "")
+    monkeypatch.setattr(recorder, "_git", lambda *words: "")
     with pytest.raises(RecordError, match="exited with 1: ZeroDivisionError"):
         make(table, tmp_path)
-    monkeypatch.setattr(module, "_git", lambda *words: " M comparisons/errors.py")
+    monkeypatch.setattr(recorder, "_git", lambda *words: " M comparisons/errors.py")
     with pytest.raises(RecordError, match="commit what changed"):
         make(table, tmp_path)
-    monkeypatch.setattr(module, "_git", lambda *words: "")
+    monkeypatch.setattr(recorder, "_git", lambda *words: "")
     table = Table(name="one", title="One", command="slamcheck run DATA/x", seeds="0", minutes=1)
     with pytest.raises(RecordError, match="--data"):
         make(table, tmp_path / "none")
@@ -235,14 +237,13 @@ def test_every_command_exists() -> None:
     for table in read_registry().tables.values():
         for command in table.commands.values():
             program, first, *rest = shlex.split(command)
-            if first == "-m":
-                place = rest[0].replace(".", "/")
-                files = f"{place}.py", f"{place}/__main__.py"
-            else:
-                files = (first,)
-            assert program in {"python", "slamcheck"}
-            there = any((ROOT / file).is_file() for file in files)
-            assert first in COMMANDS if program == "slamcheck" else there, command
+            if program == "slamcheck":
+                assert first in COMMANDS, command
+                continue
+            assert (program, first) == ("python", "-m"), command
+            module = ROOT / rest[0].replace(".", "/")
+            files = module.with_suffix(".py"), module / "__main__.py"
+            assert any(path.is_file() for path in files), command
 
 
 def test_records_name_no_machine_and_their_pictures_are_there() -> None:

@@ -11,12 +11,12 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.adapters.tree_features import with_tree_features
 from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import EkfConfig
-from comparisons.experiments.reproduction.misono import FilterNavigator, Given
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from ekf_reference.models.range_bearing import RangeBearing
 from graphslam.increments import dead_reckoned
+from research.documents.misono import FilterNavigator, Given
 from tests.helpers import present
 
 RUN = WaypointRun()
