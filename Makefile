@@ -1,5 +1,6 @@
-# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` all tests
-# but those of a night. Each sets everything up: `run` without extras, tests with all of them.
+# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` also those
+# slow tests that a change asks for, `make nightly` all tests. tests/shelves.py alone knows what a change
+# asks for. Each sets everything up: `run` without extras, tests with all of them.
 VENV ?= .venv
 BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -20,8 +21,8 @@ run: $(VENV)/installed
 test: lint
 	$(PYTEST) $(QUICK)
 
-# All but the shelves that no change asks for (tests/shelves.py). Types are checked beside the tests,
-# which end where these are wrong.
+# What a change asks for: the tests on no shelf, and the shelves that cover what has changed
+# (tests/shelves.py). Types are checked beside the tests, which end where these are wrong.
 test-all: style
 	@$(BIN)/mypy & types=$$!; \
 	$(PYTEST) -m "not nightly" --durations=30 & tests=$$!; \
