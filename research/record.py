@@ -110,11 +110,12 @@ class Table(_Strict):
 
 
 class Section(_Strict):
-    """A page of results: docs/results-NAME.md."""
+    """A page of results: docs/results-NAME.md. after: what stands below its tables."""
 
     name: str = Field(pattern=r"^[a-z0-9-]+$")
     title: str
     about: str = ""
+    after: str = ""
     table: tuple[Table, ...] = ()
 
 
@@ -259,7 +260,7 @@ def pages(registry: Registry, records: Mapping[str, Record], root: Path = ROOT) 
         parts = [f"# {section.title}", _MADE, section.about.strip()]
         for table in shown:
             parts += _shown(table, records[table.name], root)
-        found[file] = _joined(parts)
+        found[file] = _joined([*parts, section.after.strip()])
         listed.append(f"- [{section.title}]({file})")
         listed += [f"    - [{one.title}]({file}#{slugify(one.title, '-')})" for one in shown]
     index = ["# Results", registry.about.strip(), "\n".join(listed)]

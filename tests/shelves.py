@@ -117,6 +117,7 @@ SHELVES = {
             *_of_comparisons(
                 "test_dense_run.py",
                 "test_dense_checks.py",
+                "test_dense_claims.py",
                 "test_dynamic_regions.py",
                 "test_high_level_run.py",
                 "test_map_command.py",

@@ -86,7 +86,7 @@ ROWS = (
         reason="with a bound a map forgets what has changed; in a scene that stays it hardly "
         "matters: without it the occupied cells of one grid cover 1.02 times the area of "
         "DenseSLAM's after ten rounds of occupancy-loop, with it 1.00 times "
-        "(research.documents N4.4)",
+        "(N4.4 in docs/results-reproduction.md)",
     ),
     Documented(
         place="N 4.1.3, Fig. 4.6", what="size of cells", value=0.2, unit="m",
@@ -124,7 +124,7 @@ ROWS = (
     Documented(
         place="N 4.2.3", what="weight below which a particle is dropped: not subsampled", value=0.0,
         at="dense_maps.least_weight",
-        reason="to bound their number: a tenth of all weigh less (research.documents N4.10)",
+        reason="to bound their number: a tenth of all weigh less (N4.10 there)",
     ),
     Documented(
         place="N 6.5, Fig. 6.14", what="d_min of the car park's Gaussians", value=0.5, unit="m",

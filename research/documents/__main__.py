@@ -87,9 +87,8 @@ def _reproduce(choices: argparse.Namespace) -> bool:
 
 def _print_list() -> None:
     for figure in FIGURES:
-        needs, library = figure.experiment.needs, figure.experiment.library
+        needs = figure.experiment.needs
         extra = f" (needs --data with {needs}/)" if needs else ""
-        extra += " (needs slamcheck[scans])" if library else ""
         print(f"{figure.name:6} {figure.source}: {figure.title}{extra}")
 
 

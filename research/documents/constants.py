@@ -219,10 +219,6 @@ DENSE = (
         value=0.4, unit="m", at=f"{_FIGURES}.nieto_car_park:CELL_M",
     ),
     Documented(
-        place="N 6.5, Fig. 6.14", what="d_min of the car park's Gaussians, as drawn", value=0.5,
-        unit="m", at=f"{_FIGURES}.nieto_car_park:COARSE_M",
-    ),
-    Documented(
         place="N 3.9, Fig. 3.17", what="sigmas of a landmark's uncertainty bound", value=3.0,
         at="ekf_reference.dense.conditions:Conditions.flip_sigmas",
     ),
@@ -249,11 +245,6 @@ DENSE = (
         at="comparisons.extensions.dense_maps.accuracy:OCCUPIED",
     ),
     Documented(
-        place="N 4.1.3, Fig. 4.5", what="rounds after which one grid is shown",
-        value=(1.0, 2.0, 3.0, 4.0, 5.0, 10.0),
-        at=f"{_FIGURES}.nieto_dense:ROUNDS",
-    ),
-    Documented(
         place="N 4.3.3, eq. 4.18", what="k, of the widest Gaussian in d_min", value=0.8,
         at="ekf_reference.dense.layers.gaussians:Gaussians().widest",
     ),
@@ -265,17 +256,8 @@ SCANS = (
         value=60.0, unit="s", at=f"{_FIGURES}.nieto_high_level:EVERY_S",
     ),
     Documented(
-        place="N 6.5, car park",
-        what="greatest distance of two corners of a high level landmark, as drawn", value=7.0,
-        unit="m", at=f"{_FIGURES}.nieto_car_park:PAIR_M",
-    ),
-    Documented(
         place="N 5.7", what="only what is in view of a segment's template is aligned", value=False,
         at="ekf_reference.scan_landmarks.template_extraction:SingleSegments.visible",
-    ),
-    Documented(
-        place="N 5.3.1, Fig. 5.6", what="iterations of ICP", value=20,
-        at=f"{_FIGURES}.nieto_scans:ROUNDS",
     ),
     Documented(
         place="N 5.4, eq. 5.17",

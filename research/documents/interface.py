@@ -77,13 +77,12 @@ class Experiment(Generic[D]):
     """One computation that several figures may share.
 
     run: computes and draws nothing; raises InputError. needs: one of DATA_FOLDERS without which
-    it cannot run. library: one of graphslam.scan.libraries without which it cannot run.
+    it cannot run.
     """
 
     name: str
     run: Callable[[Sources], D]
     needs: str | None = None
-    library: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

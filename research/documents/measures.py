@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
-from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.logs.log import Log
-from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.scan_landmarks.high_level import Around
 
 SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0
 """Of a Gaussian in the plane: the share within 3 sigma, and the squared distance there."""
@@ -65,27 +62,3 @@ def occupied(samples: Samples) -> Array:
     """(N, 2) what a layer holds with a probability above 0.8."""
     point: Array = samples.point[samples.occupancy > OCCUPIED]
     return point
-
-
-def gaussians_of(mapping: DenseMapping) -> Gaussians:
-    """The layer `sog` of a map that keeps one."""
-    layer = mapping.dense.dense.layers["sog"]
-    if not isinstance(layer, Gaussians):
-        raise TypeError(f"{type(layer).__name__} is no sum of Gaussians")
-    return layer
-
-
-def ellipses_of(mapping: DenseMapping) -> Ellipses:
-    """The Gaussians of that layer, as the landmarks lie in the end."""
-    return gaussians_of(mapping).ellipses(mapping.placed)
-
-
-def searched_at_end(mapping: DenseMapping) -> Around:
-    """What a search for high level landmarks reads, when the drive is over."""
-    return Around(
-        mapping.dense.dense.layers["occupancy"],
-        gaussians_of(mapping),
-        mapping.placed,
-        mapping.ekf.departed[-1],
-        mapping.dense.landmark,
-    )

@@ -10,20 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import settle
-from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess_trajectory, rigid_motion
-from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from research.documents.claims import Claims, at_least, at_most, within
+from research.documents.claims import Claims, at_most, within
 from research.documents.drawing import chart, plan
 from research.documents.interface import Experiment, Figure
 from research.documents.measures import at_gps
@@ -60,32 +56,12 @@ class CloudRun:
 
 
 @dataclass(frozen=True)
-class FinalMap:
-    """EKF-SLAM. median_m: as of CloudRun. path: (K, 2). landmark: (L, 2). used: (M,) detections."""
-
-    log: str
-    median_m: float
-    path: Array
-    landmark: Array
-    used: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
 class Clouds:
     """All numbers of particles, ascending. gps: (G, 2)."""
 
     log: str
     runs: tuple[CloudRun, ...]
     gps: Array
-
-
-def final_map(log: Log) -> FinalMap:
-    """Run the compressed filter, the full one to rounding, on a log with positions to judge it."""
-    choices = settle(EkfConfig(filter="compressed"), log)
-    run = run_ekf(log, build_timeline(log), choices)
-    path, landmark = run.estimate.pose[:, :2], run.estimate.landmark
-    median_m = _off_gps_m(log, run.estimate.time_s, run.estimate.pose)
-    return FinalMap(f"{log.name}, no GPS", median_m, path, landmark, run.landmark_index >= 0)
 
 
 def _off_gps_m(log: Log, time_s: Array, pose: Array) -> float:
@@ -120,15 +96,6 @@ def _run(log: Log, particles: int) -> CloudRun:
     )
 
 
-def _claims_2_6(found: FinalMap) -> Claims:
-    text = "the estimated trajectory follows the vehicle's (median distance from GPS, aligned)"
-    yield at_most(text, found.median_m, 2.0, "m", own=True)
-    text = "the map is of the trees that are detected (share of the detections that it explains)"
-    yield at_least(text, np.mean(found.used), 0.9, own=True)
-    text = "it is a sparse representation (landmarks per detection)"
-    yield at_most(text, len(found.landmark) / len(found.used), 0.01, own=True)
-
-
 def _claims_2_13(found: Clouds) -> Claims:
     most = found.runs[-1]
     text = (
@@ -146,13 +113,6 @@ def _claims_2_13(found: Clouds) -> Claims:
         "of the log that have descendants at its end)"
     )
     yield at_most(text, most.left_of_the_first_tenth / most.particles, 0.1, own=True)
-
-
-def _draw_2_6(canvas: Canvas, found: FinalMap) -> None:
-    axis = canvas.add_subplot()
-    draw_trajectory(axis, found.path, EKF_COLOUR, "estimated path")
-    axis.plot(*found.landmark.T, "*", color=_STARS, markersize=5, label="landmarks")
-    plan(axis, f"EKF-SLAM, {len(found.landmark)} landmarks", legend="best")
 
 
 def _draw_2_13(canvas: Canvas, found: Clouds) -> None:
@@ -179,14 +139,6 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
 
 
 FIGURES = (
-    Figure(
-        name="N2.6", title="Feature SLAM on Victoria Park",
-        says="Feature-based SLAM gives trajectory and map; the map is sparse, and is of trees.",
-        experiment=Experiment(
-            "section 2.8.2, Victoria Park", lambda given: final_map(given.log(_PARK)), _PARK
-        ),
-        draw=_draw_2_6, claims=_claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
-    ),
     Figure(
         name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "

@@ -1,4 +1,4 @@
-"""Nieto 2005, sections 6.3.3 and 6.5: dynamic areas by fast and by slow motion.
+"""Nieto 2005, section 6.5: dynamic areas by slow motion, and how cells are scored.
 
 No public log has cars that leave between two visits, so the car park of Figs. 6.19 and 6.20 is
 simulated.
@@ -7,7 +7,7 @@ simulated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,27 +19,19 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.config import EkfConfig, MapConfig
+from comparisons.config import EkfConfig
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import (
     DENSE_COLOUR,
-    draw_occupied,
-    draw_regions,
     draw_surfaces,
 )
-from comparisons.extensions.dense_maps.job import map_log
 from comparisons.extensions.dense_maps.source import DenseWatcher
-from comparisons.extensions.dynamic.config import DynamicConfig
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR
 from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelSource
-from comparisons.logs.simulate import dynamic_worlds
 from comparisons.logs.simulate.dynamic_worlds import CARS_LEAVE_S, leaving_cars, moved_over
 from comparisons.logs.simulate.polygons import sides
 from comparisons.logs.simulate.scan_drive import (
-    ScanExperiment,
-    dynamic_lanes,
-    dynamic_places,
     parked_cars,
     simulate,
 )
@@ -47,7 +39,6 @@ from comparisons.logs.simulate.scan_worlds import Moving
 from comparisons.report.marks import TRUTH_COLOUR
 from ekf_reference.core.geometry import to_world
 from ekf_reference.dense.dynamic import DynamicLayer, places
-from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Single
 from ekf_reference.dense.sensor_model import log_odds
@@ -58,131 +49,6 @@ from research.documents.drawing import closed, draw_lines, frame, plan
 from research.documents.drives import Drives, true_surroundings
 from research.documents.interface import Experiment, Figure, Sources
 from research.documents.measures import mean
-
-_DYNAMIC_COLOUR = "#e08a1e"
-_MOST_DRIVES = 3
-"""So many drives per claim: the places are the same in all, only the noise is another."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Motion:
-    """What one drive found. dynamic: (N, 2) cells [m]. landmark: (L, 2). occupied: in the end.
-
-    segment: (S, 4) what stands. triangle: (R, 3, 2).
-    """
-
-    score: DynamicScore
-    dynamic: Array
-    occupied: Samples
-    landmark: Array
-    segment: Array
-    triangle: Array
-
-
-@dataclass(frozen=True)
-class Motions(Drives[Motion]):
-    """true: (P, 2) [m] middles of the places that change."""
-
-    true: Array
-
-
-def _motion(experiment: ScanExperiment, seed: int) -> Motion:
-    log = simulate(np.random.default_rng(seed), experiment)
-    extensions = {"dense_maps": DenseMapsConfig(layers=("occupancy",)), "dynamic": DynamicConfig()}
-    mapping = map_log(log, MapConfig(extensions=extensions))
-    layer = mapping.dense.dense.dynamic
-    if layer is None:
-        raise TypeError("the map kept no dynamic layer")
-    return Motion(
-        score=score_dynamic(layer, mapping.placed, experiment.world.movers, log.duration_s),
-        dynamic=layer.points(mapping.placed),
-        occupied=mapping.layers["occupancy"],
-        landmark=mapping.dense.landmark,
-        segment=true_surroundings(log)[1],
-        triangle=mapping.placed.triangle,
-    )
-
-
-def _motions(experiment: ScanExperiment, true: Array, sources: Sources) -> Motions:
-    drives = min(sources.drives, _MOST_DRIVES)
-    reported = f"{experiment.name}, {drives} drives from seed 0"
-    return Motions(reported, tuple(_motion(experiment, seed) for seed in range(drives)), true)
-
-
-def lanes(sources: Sources) -> Motions:
-    """Two lanes of traffic before a scanner that stands.
-
-    Without the first pole, which hides a piece of a lane: the thesis' lanes are whole.
-    """
-    true = np.array([(np.nan, north) for north in dynamic_worlds.LANES_M])
-    experiment = dynamic_lanes()
-    w = experiment.world
-    w = replace(w, landmark=w.landmark[1:], pole=w.pole[1:], pole_height_m=w.pole_height_m[1:])
-    return _motions(replace(experiment, world=w), true, sources)
-
-
-def changed_places(sources: Sources) -> Motions:
-    """One object taken away and two brought between two passes."""
-    experiment = dynamic_places()
-    return _motions(experiment, dynamic_worlds.changed_places(experiment.world.movers), sources)
-
-
-def _claims_6_9(found: Motions) -> Claims:
-    off = [_off(m.score.middle[:, 1:], found.true[:, 1:]) for m in found.each]
-    text = (
-        "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
-        "its own area's, in all drives)"
-    )
-    yield at_most(text, max(off), 0.5, "m", own=True)
-    text = "and nowhere else: number of areas (most of the drives)"
-    yield at_most(text, max(len(m.score.middle) for m in found.each), 2)
-    text = "cells found are driven on (least precision of the drives)"
-    yield at_least(text, min(m.score.precision for m in found.each), 0.9, own=True)
-    text = "cells driven on are found (least recall of the drives)"
-    yield at_least(text, min(m.score.recall for m in found.each), 0.9, own=True)
-
-
-def _claims_6_10(found: Motions) -> Claims:
-    off = [_off(m.score.middle, found.true) for m in found.each]
-    text = (
-        "areas are found where the objects stood or stand (largest distance of their middles, "
-        "in all drives; only the sides that were seen are found)"
-    )
-    yield at_most(text, max(off), 1.3, "m", own=True)
-    text = "and nowhere else: number of areas (most of the drives)"
-    yield at_most(text, max(len(m.score.middle) for m in found.each), 3)
-
-
-def _off(middle: Array, true: Array) -> float:
-    """Largest distance of true places (P, d) from their nearest; infinite where two share one."""
-    if len(middle) < len(true):
-        return float("inf")
-    apart = np.linalg.norm(middle[:, None] - true[None], axis=2)
-    if len(np.unique(apart.argmin(axis=0))) != len(true):
-        return float("inf")
-    return float(apart.min(axis=0).max())
-
-
-def _draw(axis: Axes, found: Motions, title: str) -> None:
-    motion = found.each[0]
-    draw_regions(axis, motion.triangle)
-    draw_surfaces(axis, motion.segment)
-    draw_occupied(axis, motion.occupied)
-    axis.plot(*motion.dynamic.T, ".", color=_DYNAMIC_COLOUR, markersize=2, zorder=4)
-    axis.plot(*motion.landmark.T, "+", color=TRUTH_COLOUR, markersize=5)
-    frame(axis, np.vstack((motion.dynamic, motion.landmark)), 3.0)
-    plan(axis, title)
-
-
-def _draw_6_9(canvas: Canvas, found: Motions) -> None:
-    _draw(canvas.add_subplot(), found, "fast motion (orange), what is occupied, regions")
-
-
-def _draw_6_10(canvas: Canvas, found: Motions) -> None:
-    axis = canvas.add_subplot()
-    _draw(axis, found, "slow motion (orange), the changed places (circles)")
-    axis.plot(*found.true.T, "o", markersize=16, markerfacecolor="none", color=TRUTH_COLOUR)
-
 
 _AREAS, _BESIDE_M = 2, 0.5
 """Of Fig. 6.19; and so near to a car counts as on it: the map errs, and the low-pass widens."""
@@ -357,20 +223,6 @@ def _draw_6_20(canvas: Canvas, found: Drives[ParkedCars]) -> None:
 _PARKED = Experiment("section 6.5, cars that leave", parked_drives)
 
 FIGURES = (
-    Figure(
-        name="N6.9", title="Fast motion found by differencing occupancy",
-        says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, where "
-        "the two objects move; the contours of what stands are filtered away.",
-        experiment=Experiment("section 6.3.3, fast motion", lanes), draw=_draw_6_9,
-        claims=_claims_6_9, size=(8.0, 7.0),
-    ),
-    Figure(
-        name="N6.10", title="Slow motion found between two visits",
-        says="Between two visits one object is taken away and two are brought; three areas are "
-        "found, and these are the places.",
-        experiment=Experiment("section 6.3.3, slow motion", changed_places), draw=_draw_6_10,
-        claims=_claims_6_10, size=(8.0, 7.0),
-    ),
     Figure(
         name="N6.19", title="Car park, simulated: slow motion where three cars have left",
         says="Between two occupancy maps of a car park three cars leave; two areas are found, one "

@@ -18,6 +18,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.report.figures.style import draw_reference
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import correlation_coefficients
 from ekf_reference.dense.decorrelation import (
     Correlations,
@@ -30,11 +32,41 @@ from research.documents.claims import Claims, at_least, at_most, theirs
 from research.documents.drawing import chart, frame, plan
 from research.documents.drives import Drives, truth_in_order, watched_run
 from research.documents.interface import Experiment, Figure, Sources
-from research.documents.nieto_slam import Moment, closing_s
 
 EXTRA_S = 10.0
 """How long these examples go on after the loop."""
 _SETTLING_S = 2.0
+_AWAY_S = 30.0
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The filter after a scan. landmark, true: (L, 2). covariance: (3 + 2 L, 3 + 2 L)."""
+
+    time_s: float
+    landmark: Array
+    true: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, time_s: float, ekf: Ekf, true: Array) -> Moment:
+        """true: (K, 2) of all landmarks, in the filter's order, K at least its number."""
+        place = ekf.state.landmarks.copy()
+        return cls(time_s, place, true[: len(place)], ekf.state.covariance.copy())
+
+    def among(self, *landmark_index: int) -> Array:
+        """(2 k, 2 k) covariance of k landmarks, in this order."""
+        layout = Layout.packed(3, len(self.landmark))
+        columns = layout.columns(np.array(landmark_index))[3:]
+        return self.covariance[np.ix_(columns, columns)]
+
+
+def closing_s(log: Log) -> float:
+    """When the first scan's landmarks are seen again after a while."""
+    seen = log.measurements
+    early = seen.landmark[seen.time_s <= seen.time_s[0]]
+    time = seen.time_s[np.isin(seen.landmark, early)]
+    return float(time[1:][np.diff(time) > _AWAY_S][0])
 
 
 @dataclass(frozen=True, kw_only=True)

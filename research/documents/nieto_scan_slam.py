@@ -20,7 +20,6 @@ from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import RunConfig, setting_default
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
@@ -46,7 +45,7 @@ from research.documents.claims import (
     ours,
     theirs,
 )
-from research.documents.drawing import SIGMAS, draw_lines, frame, plan
+from research.documents.drawing import SIGMAS, draw_lines, plan
 from research.documents.drives import Drives, true_surroundings
 from research.documents.interface import Experiment, Figure, Sources
 from research.documents.measures import SHARE_WITHIN_3_SIGMA, mean, within_3_sigma
@@ -58,8 +57,6 @@ CLOSED_S = 60.0
 END_M = 2.0
 """Farther off at the end a loop was missed, whatever was seen; objects are 4 m across and more."""
 OURS = ScanLandmarksConfig(landmarks="scans")
-CORNER_M = (-22.0, 90.0)
-"""Left of the one and above the other is the left top of Fig. 5.9."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +103,6 @@ class ScanMap:
             self.true[rows],
             tuple(p for p, chosen in zip(self.points, rows, strict=True) if chosen),
         )
-
-    @property
-    def left_top(self) -> ScanMap:
-        """Those that truly are in Fig. 5.9."""
-        return self.at((self.true[:, 0] < CORNER_M[0]) & (self.true[:, 1] > CORNER_M[1]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,31 +345,6 @@ def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
     yield _inside("by the thesis' settings they are so after it", [d.after for d in drives])
 
 
-def _claims_5_9(found: ScanDrives) -> Claims:
-    yield from _left_top("templates show", "there the true axes are", found.each)
-    yield from _left_top(
-        "by the thesis' settings templates show",
-        "by the thesis' settings the true axes there are",
-        found.published,
-    )
-
-
-def _left_top(templates: str, axes: str, drives: Sequence[ScanDrive]) -> Claims:
-    """templates, axes: how the claims begin."""
-    maps = [d.after.left_top for d in drives]
-    off = [
-        float(np.median(distance_to_segments(m.truly_placed, d.segment)))
-        for m, d in zip(maps, drives, strict=True)
-        if len(m.landmark_index)
-    ]
-    text = (
-        f"{templates} the objects in detail (median distance of their points from the "
-        "surfaces, every axis put where it truly is, largest of the drives)"
-    )
-    yield at_most(text, max(off, default=np.nan), 0.2, "m", own=True)
-    yield _inside(f"{axes} within the 3-sigma ellipses", maps)
-
-
 def _inside(text: str, maps: list[ScanMap]) -> Claim:
     """Of all landmarks the share within 3 sigma; beside it the shares by map."""
     each = [m.within for m in maps if len(m.landmark_index)]
@@ -396,7 +363,6 @@ EXPERIMENT = Experiment("section 5.6", drives)
 
 
 _OBJECT_COLOUR = "#aaaaaa"
-_BESIDE_M = 4.0
 
 
 def _draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
@@ -418,23 +384,12 @@ def _draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
                   fontsize=9)  # fmt: skip
 
 
-def _draw_5_9(canvas: Canvas, found: ScanDrives) -> None:
-    axis, d = canvas.add_subplot(), found.shown
-    _draw(axis, d, d.after, d.path, axis_m=2.0, dot=4.0)
-    there = d.segment.reshape(-1, 2)
-    there = there[(there[:, 0] < CORNER_M[0]) & (there[:, 1] > CORNER_M[1])]
-    plan(axis, "the left top, with 3-sigma ellipses of the axes", legend="lower right")
-    frame(axis, there, _BESIDE_M)
-
-
-def _draw(
-    axis: Axes, d: ScanDrive, held: ScanMap, path: Array, axis_m: float = 4.0, dot: float = 1.0
-) -> None:
+def _draw(axis: Axes, d: ScanDrive, held: ScanMap, path: Array) -> None:
     draw_lines(axis, d.segment.reshape(-1, 2, 2), _OBJECT_COLOUR, "objects", 1.2, 1)
     axis.plot(*d.true_path.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="true path")
     axis.plot(*path.T, "--", color=EKF_COLOUR, linewidth=1.0, label="estimated path")
-    axis.plot(*held.placed.T, ".", color="#111111", markersize=dot, label="templates", zorder=3)
-    draw_lines(axis, axes_at(held.place, axis_m), SMOOTHER_COLOUR, "axes", 1.2, 4)
+    axis.plot(*held.placed.T, ".", color="#111111", markersize=1.0, label="templates", zorder=3)
+    draw_lines(axis, axes_at(held.place, 4.0), SMOOTHER_COLOUR, "axes", 1.2, 4)
     outline = ellipses(held.place[:, :2], held.covariance, SIGMAS)
     draw_lines(axis, outline, SMOOTHER_COLOUR, "3 sigma", 0.8, 4)
 
@@ -452,10 +407,5 @@ FIGURES = (
         says="Pieces of scans serve as landmarks of an EKF; the estimated path follows the true "
         "one, and once the loop is closed the error between true and estimated objects is smaller.",
         experiment=EXPERIMENT, draw=_draw_5_8, claims=_claims_5_8, size=(21.0, 7.6),
-    ),
-    Figure(
-        name="N5.9", title="Zoom of the left top: objects, templates and their axes",
-        says="The templates add the sensor's information in detail; the ellipses bound their axes.",
-        experiment=EXPERIMENT, draw=_draw_5_9, claims=_claims_5_9, size=(8.0, 7.0),
     ),
 )  # fmt: skip

@@ -11,35 +11,25 @@ from research.documents import (
     nieto_dense,
     nieto_fastslam,
     nieto_high_level,
-    nieto_known_poses,
     nieto_motion,
-    nieto_next_path,
-    nieto_people,
     nieto_regions,
     nieto_scan_maps,
     nieto_scan_slam,
-    nieto_scans,
-    nieto_slam,
 )
 from research.documents.interface import AnyFigure
 
 FIGURES: tuple[AnyFigure, ...] = (
     *guivant.FIGURES,
     *misono.FIGURES,
-    *nieto_slam.FIGURES,
     *nieto_fastslam.FIGURES,
     *nieto_regions.FIGURES,
-    *nieto_known_poses.FIGURES,
-    *nieto_people.FIGURES,
     *nieto_dense.FIGURES,
-    *nieto_scans.FIGURES,
     *nieto_scan_slam.FIGURES,
     *nieto_car_park_scans.FIGURES,
     *nieto_high_level.FIGURES,
     *nieto_scan_maps.FIGURES,
     *nieto_motion.FIGURES,
     *nieto_car_park.FIGURES,
-    *nieto_next_path.FIGURES,
 )
 
 

@@ -10,7 +10,6 @@ from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.figures import package_versions
 from comparisons.report.picture import blank, encoded
 from ekf_reference.core.state import FilterDivergedError
-from graphslam.scan.libraries import MissingLibraryError, require
 from research.documents.interface import (
     AnyFigure,
     FigureResult,
@@ -67,13 +66,9 @@ def reproduce(
 
 def _lacking(figure: AnyFigure, sources: Sources) -> str:
     """What a figure's experiment needs and has not got, empty where it can run."""
-    needs, library = figure.experiment.needs, figure.experiment.library
+    needs = figure.experiment.needs
     if needs is not None and sources.folder(needs) is None:
         return f"needs --data FOLDER with {needs}/"
-    try:
-        require({} if library is None else {library: figure.name})
-    except MissingLibraryError as error:
-        return str(error).removeprefix(f"{figure.name} ")
     return ""
 
 

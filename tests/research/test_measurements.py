@@ -130,16 +130,6 @@ def test_scan_front_end_benchmark_runs() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("open3d_library")
-def test_matchers_benchmark_runs() -> None:
-    lines = run("-m", "research.matchers", "--pairs", "1")
-    icp = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
-    names = [*icp, "sog", "occupancy"]
-    assert [line.split()[2] for line in lines[2:-1]] == names
-    assert "with covariance" in lines[-1]
-
-
-@pytest.mark.slow
 def test_dense_maps_benchmark_rules() -> None:
     """By the thesis' settings all regions are made by correlation, and nothing is late."""
     lines = run("-m", "research.dense_maps", *("--seeds", "1", "--rules", "nieto-2005"))

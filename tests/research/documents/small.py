@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.arrays import Array
-from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.dynamic_worlds import leaving_cars
 from comparisons.logs.simulate.waypoints import WaypointRun
@@ -24,19 +22,13 @@ from research.documents import (
     nieto_dense,
     nieto_fastslam,
     nieto_high_level,
-    nieto_known_poses,
     nieto_motion,
-    nieto_next_path,
-    nieto_people,
     nieto_regions,
     nieto_scan_maps,
     nieto_scan_slam,
-    nieto_scans,
-    nieto_slam,
 )
 from research.documents.drives import Drives
 from research.documents.interface import Sources
-from research.documents.nieto_motion import DynamicScore
 from tests.helpers import first_seconds
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
@@ -57,20 +49,6 @@ def samples(*height: float) -> Samples:
     return Samples(point, np.full(len(point), 0.95), np.zeros(len(point), dtype=np.intp))
 
 
-def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round:
-    return nieto_dense.Round(
-        number=number,
-        classic=classic,
-        dense=dense,
-        classic_m2=0.04 * len(classic.point),
-        dense_m2=0.04 * len(dense.point),
-        landmark=CORNERS,
-        true=CORNERS,
-        classic_error=surface_error(classic, WALL),
-        dense_error=surface_error(dense, WALL),
-    )
-
-
 def splits() -> Drives[guivant.SplitLog]:
     """Each finer splitting is a little better."""
     runs = {
@@ -79,15 +57,6 @@ def splits() -> Drives[guivant.SplitLog]:
     }
     each = tuple(guivant.SplitLog(name, runs) for name in ("a loop", "another"))
     return Drives("made up", each)
-
-
-def final_map() -> nieto_fastslam.FinalMap:
-    """The same of EKF-SLAM."""
-    found = nieto_fastslam.final_map(
-        simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
-    )
-    used = np.resize(found.used, 100 * len(found.landmark))
-    return replace(found, median_m=1.5, used=used)
 
 
 def clouds() -> nieto_fastslam.Clouds:
@@ -100,53 +69,12 @@ def clouds() -> nieto_fastslam.Clouds:
     return replace(found, runs=(found.runs[0], right))
 
 
-def rounds() -> nieto_dense.Rounds:
-    """A wall that one grid draws again beside the first, and a dense map does not."""
-    good = samples(0.0, 0.2)
-    each = [round_of(n, samples(0.0, *(0.7,) * (n > 1), 0.9), good) for n in nieto_dense.ROUNDS]
-    return nieto_dense.Rounds(
-        log="made up", each=tuple(each), segment=WALL, particles=good, points=good
-    )
-
-
-def coarsened() -> nieto_dense.Coarsened:
-    held = samples(0.0)
-    triangle, error = CORNERS[None], surface_error(held, WALL)
-    return nieto_dense.Coarsened(
-        log="made up",
-        triangle=np.repeat(triangle, 2, axis=0),
-        cell_m=np.array((0.5, 0.2)),
-        coarse=held,
-        cells=80,
-        cells_even=100,
-        emptiest=0.995,
-        error=error,
-        error_even=error,
-        segment=WALL,
-    )
-
-
 def covered() -> guivant.Covered:
     """A path into a wood, where GPS ends."""
     path = np.column_stack((np.linspace(0.0, 200.0, 201), np.zeros(201)))
     trees = np.column_stack((np.linspace(120.0, 200.0, 30), np.full(30, 5.0)))
     around = np.array([np.sum(np.abs(trees[:, 0] - x) < 20.0) for x in path[:, 0]])
     return guivant.Covered("made up", path, trees, path[:, 0] < 110.0, around)
-
-
-def motions(true: Array) -> nieto_motion.Motions:
-    """Places that are found where they are, but for a little."""
-    held, found = samples(0.0), np.where(np.isfinite(true), true, 0.0) + 0.1
-    score = DynamicScore(0.95, 0.93, found)
-    one = nieto_motion.Motion(
-        score=score,
-        dynamic=found,
-        occupied=held,
-        landmark=CORNERS,
-        segment=WALL,
-        triangle=CORNERS[None],
-    )
-    return nieto_motion.Motions("made up", (one,), true)
 
 
 def parked_cars() -> Drives[nieto_motion.ParkedCars]:
@@ -207,27 +135,10 @@ def high_level_drives() -> Drives[nieto_high_level.HighLevelDrive]:
     return Drives("the beginning of a drive", (drive,))
 
 
-def scan_maps() -> nieto_scan_maps.ScanMaps:
+def scan_maps() -> Drives[nieto_scan_maps.ScanMap]:
     """The first seconds of a drive; what closes there is not a loop."""
     log = first_seconds(open_log("scan-slam-maps"), 18.0)
     return nieto_scan_maps.of_logs([log], "the beginning of a drive")
-
-
-def next_path() -> nieto_next_path.NextPath:
-    """Two ways past the wall, which both estimators judge alike."""
-    left = tuple(nieto_next_path.Left(-60.0 - gain, 9.0 - gain) for gain in (1.0, 2.0))
-    found = nieto_next_path.Prediction(nieto_next_path.Left(-60.0, 9.0), left)
-    around = np.array([(5.0, 3.0), (-2.0, 3.0), (-2.0, -3.0), (5.0, -3.0)])
-    return nieto_next_path.NextPath(
-        log="made up",
-        way=(around, around[:2]),
-        by_filter=found,
-        by_smoother=found,
-        driven=around[:1] + np.array([(2.0, 0.0), (0.0, 0.0)]),
-        landmark=CORNERS,
-        held=samples(0.0),
-        segment=WALL,
-    )
 
 
 def car_park() -> nieto_car_park.CarPark:
@@ -245,31 +156,18 @@ def car_park_scans() -> nieto_car_park_scans.CarParkScans:
 
 
 SMALL: dict[str, Callable[[], Any]] = {
-    "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
-    "section 2.8.2, Victoria Park": final_map,
-    "sections 2.8.1, 4.2 and 4.3.1, known poses": lambda: nieto_known_poses.known_poses(Sources()),
     "section 2.10, FastSLAM": clouds,
-    "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
     "Examples 3.1 and 3.2": lambda: nieto_regions.examples(Sources(drives=2)),
     "Misono's Fig. 5": lambda: misono.drives(Sources(drives=1)),
     "Misono's Fig. 6": lambda: misono.journeys(Sources(drives=1)),
     "Guivant's Figs. 8 and 9": lambda: guivant.aided(Sources()),
     "Guivant's Fig. 7": covered,
     "Guivant's updates in parts": splits,
-    "section 3.9": lambda: nieto_dense.raw_maps(Sources(drives=1)),
     "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
-    "section 4.1.3, ten rounds": rounds,
-    "section 4.1.3, two sizes of cells": coarsened,
-    "section 5.3.1, two scans": lambda: nieto_scans.scans(Sources(drives=1)),
     "section 5.6": scan_drives,
-    "section 6.1.3, two pairs of corners": lambda: nieto_high_level.corner_pairs(Sources(drives=1)),
     "section 6.1.3": high_level_drives,
     "section 6.2.1": scan_maps,
     "the car park, dense maps": car_park,
     "the car park, Scan-SLAM": car_park_scans,
-    "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
     "section 6.5, cars that leave": parked_cars,
-    "section 3.7.1": lambda: nieto_people.people_drives(Sources()),
-    "section 7.2.4": next_path,
-    "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

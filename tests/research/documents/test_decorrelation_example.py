@@ -17,11 +17,11 @@ from ekf_reference.dense.triangles import contains, to_local
 from research.documents.nieto_regions import (
     Cast,
     DecorrelationExample,
+    closing_s,
     decorrelation_example,
     fused_until,
     rightmost,
 )
-from research.documents.nieto_slam import closing_s
 from tests.helpers import present, simulated
 
 NORTH = 1
