@@ -288,12 +288,6 @@ def test_nothing_stands_on_experiments() -> None:
 
 APART = (
     "comparisons.logs.readers.",  # found by the name of a format
-    # Of the documents, for research.
-    "ekf_reference.dense.decorrelation",
-    "ekf_reference.dense.layers.quadtree",
-    "ekf_reference.scan_landmarks.local_context",
-    "ekf_reference.scan_landmarks.map_aided_matching",
-    "ekf_reference.scan_matching.grid_correlation",
 )
 """Modules, or beginnings of them, that are in the wheel though nothing in it imports them."""
 

@@ -21,14 +21,14 @@ from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import correlation_coefficients
-from ekf_reference.dense.decorrelation import (
+from ekf_reference.dense.triangles import contains, is_degenerate, to_local
+from research.documents.claims import Claims, at_least, at_most, theirs
+from research.documents.decorrelation import (
     Correlations,
     Displacements,
     correlations,
     displacements,
 )
-from ekf_reference.dense.triangles import contains, is_degenerate, to_local
-from research.documents.claims import Claims, at_least, at_most, theirs
 from research.documents.drawing import chart, frame, plan
 from research.documents.drives import Drives, truth_in_order, watched_run
 from research.documents.interface import Experiment, Figure, Sources

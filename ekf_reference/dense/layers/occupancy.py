@@ -11,7 +11,6 @@ from ekf_reference.dense.layers.layer import Hits, Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from ekf_reference.dense.triangles import determinant
 
 _WITHIN = 1e-9
 """Sum of local coordinates, short of one, that still lies in the last cell."""
@@ -193,17 +192,6 @@ class OccupancyGrid:
                 odds = grid.odds[grid.cell(found.local[rows])].astype(float)
                 result[rows] = np.where(odds == 0.0, np.nan, probability(odds))
         return result
-
-    def cell_area(self, placed: RegionsAtMap) -> Array:
-        """(R,) area [m^2] of a cell of each region, NaN where there is no grid.
-
-        Cells lie along two edges of a triangle, so they differ from region to region, and few have
-        the area of a square of the resolution.
-        """
-        area, doubled = np.full(len(placed.triangle), np.nan), np.abs(determinant(placed.triangle))
-        for region, grid in self.grids.items():
-            area[region] = doubled[region] / np.prod(grid.cells)
-        return area
 
     def _grid(self, region: int, placed: RegionsAtMap) -> RegionGrid:
         grid = self.grids.get(region)

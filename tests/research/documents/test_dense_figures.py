@@ -7,7 +7,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from comparisons.report.picture import blank, save
-from ekf_reference.dense.decorrelation import Displacements
+from research.documents.decorrelation import Displacements
 from research.documents.nieto_regions import (
     Examples,
     decorrelation_example,

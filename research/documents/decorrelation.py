@@ -1,6 +1,6 @@
 """How local coordinates of a point reduce its correlation with the rest of the map.
 
-Nieto 2005, sections 3.3 and 3.6: Example 3.1 (eq. 3.5) and Example 3.2 (eqs. 3.11 to 3.20).
+Nieto 2005, sections 3.3 and 3.6: Example 3.1 (eqs. 3.4 and 3.5) and Example 3.2.
 """
 
 from __future__ import annotations
@@ -63,22 +63,6 @@ def correlations(triangle: Array, point: Array, covariance: Array) -> Correlatio
         sigma[k + 6 :],
         own * np.linalg.norm(np.stack(axes(triangle)), axis=1),
     )
-
-
-def passive_change(
-    cross: Array, jacobian: Array, innovation_covariance: Array, innovation: Array
-) -> Array:
-    """How an observation moves n states that it did not see; (n,).
-
-    Source: Nieto 2005, eq. 3.16: the error that a dense map makes which leaves it out. Erratum:
-    3.12, which it comes from, is printed P grad h S^-1 nu; P grad h^T S^-1 nu holds.
-
-    cross: (n, c) covariance of these states with those that the observation depends on (the
-    vehicle and landmark i): P_jv and P_ji side by side, or for local coordinates
-    local_cross_covariance, transposed. jacobian: (m, c). innovation_covariance: (m, m).
-    innovation: (m,), wrapped.
-    """
-    return cross @ jacobian.T @ np.linalg.solve(innovation_covariance, innovation)
 
 
 def displacements(

@@ -1,18 +1,20 @@
-"""What a point's local coordinates share with the rest of the map, and how they change."""
+"""What a point's local coordinates share with the rest of the map, and how they change.
+
+Nieto 2005, section 3.6, eqs. 3.11 to 3.20.
+"""
 
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState
-from ekf_reference.dense.decorrelation import (
+from ekf_reference.dense.triangles import to_local
+from ekf_reference.models.range_bearing import RangeBearing
+from research.documents.decorrelation import (
     correlations,
     displacements,
     local_cross_covariance,
-    passive_change,
 )
-from ekf_reference.dense.triangles import to_local
-from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_triangles import random_triangles
 from tests.ekf_reference.numerics import (
     central_difference,
@@ -52,6 +54,22 @@ def test_displacement_is_zero_under_a_common_motion_and_in_metres_otherwise() ->
     assert np.allclose((moved.world_m, moved.local_m), (2.5, 0.0), atol=1e-12)
     moved = displacements(triangle, point, triangle, point + shift)
     assert np.allclose((moved.world_m, moved.local_m), 2.5)
+
+
+def passive_change(
+    cross: Array, jacobian: Array, innovation_covariance: Array, innovation: Array
+) -> Array:
+    """How an observation moves n states that it did not see; (n,).
+
+    Source: Nieto 2005, eq. 3.16: the error that a dense map makes which leaves it out. Erratum:
+    3.12, which it comes from, is printed P grad h S^-1 nu; P grad h^T S^-1 nu holds.
+
+    cross: (n, c) covariance of these states with those that the observation depends on (the
+    vehicle and landmark i): P_jv and P_ji side by side, or for local coordinates
+    local_cross_covariance, transposed. jacobian: (m, c). innovation_covariance: (m, m).
+    innovation: (m,), wrapped.
+    """
+    return cross @ jacobian.T @ np.linalg.solve(innovation_covariance, innovation)
 
 
 NOISE = np.diag((0.1, 1e-3))
