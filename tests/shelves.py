@@ -64,6 +64,10 @@ SHELVES = {
         ),
         ("docs/results", "docs/earlier-results.md", "research/re"),
     ),
+    "equations": Shelf(
+        _tests("test_equations.py::test_commands_reach_their_equations"),
+        ("docs/equations.md", "ekf_reference/"),
+    ),
     "release": Shelf(
         _tests("test_fresh_environment.py", "test_own_project.py", "test_packages.py"),
         ("pyproject.toml", "MANIFEST.in", "slamcheck/"),
