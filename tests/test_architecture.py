@@ -252,7 +252,7 @@ def on_research(sources: Iterable[tuple[str, str]]) -> list[str]:
     return [
         name
         for name, source in sources
-        if any(one.partition(".")[0] == "research" for one in mentions(source))
+        if any(module.partition(".")[0] == "research" for module in mentions(source))
     ]
 
 

@@ -268,7 +268,8 @@ def misnamed(text: str) -> list[str]:
     """Rows that say nothing of what reaches them, or what the column does not allow."""
     wrong = []
     for row in [row for table in tables(text).values() for row in table]:
-        by_commands = bool(row.commands) and all(one.startswith(PROGRAMS) for one in row.commands)
+        known = [command for command in row.commands if command.startswith(PROGRAMS)]
+        by_commands = bool(known) and known == row.commands
         reason = row.reached.startswith(f"{NOT_IMPLEMENTED}: ")
         good = row.reached == NOT_IMPLEMENTED if row.not_here else by_commands != reason
         if not good or (row.oracle and not reason):
@@ -282,9 +283,7 @@ def unreached(rows: Iterable[Row], called: Mapping[str, set[str]]) -> list[str]:
     for row in rows:
         names = set[str]().union(*(called[command] for command in row.commands))
         for path, name in row.computed_by:
-            if not any(
-                one == f"{path}:{name}" or one.startswith(f"{path}:{name}.") for one in names
-            ):
+            if not any(f"{call}.".startswith(f"{path}:{name}.") for call in names):
                 wrong.append(f"{row.label}: {path}:{name}")
     return wrong
 
@@ -310,11 +309,11 @@ def test_functions_name_their_equations() -> None:
 
 def by_command() -> dict[str, list[Row]]:
     """Rows by the commands that they name, all of them together."""
-    found: dict[str, list[Row]] = {}
+    grouped: dict[str, list[Row]] = {}
     for row in [row for table in tables(TEXT).values() for row in table]:
         if row.commands:
-            found.setdefault("; ".join(row.commands), []).append(row)
-    return found
+            grouped.setdefault("; ".join(row.commands), []).append(row)
+    return grouped
 
 
 def test_each_row_names_a_command_or_says_why_not() -> None:
