@@ -64,7 +64,7 @@ def algebra_cause(
     hint: what to check where no event is named.
     """
     named = "".join(f"; {one}" for one in operations[:_NAMED])
-    first = operations[0].partition("; ")[0] if operations else ""
+    first = operations[0].partition(": ")[0] if operations else ""
     return Cause(
         "algebra",
         f"the filter differs from the solution of its own linear equations {gap.beside(allowed)}"

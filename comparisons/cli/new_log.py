@@ -48,7 +48,7 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
     "column": (
         list[str],
         "COLUMN=HEADER",
-        "Which header has a column, as time=stamp_unix_ns or truth:yaw=psi; repeatable.",
+        "Header of a column, as time=stamp_unix_ns; repeatable.",
     ),
     "imu": (_File, "FILE", "Yaw rates, in place of the odometry's."),
 }

@@ -210,13 +210,32 @@ class Trial:
         return bool(np.linalg.norm(fit.left) > _FAR * apart)
 
     def _run(self, fault: Fault, beside: FilterObserver) -> Reference | None:
-        def started(ekf: Ekf) -> FilterObserver:
-            if fault.plant is not None:
-                fault.plant(ekf)
-            return beside
+        return filter_with(fault, self.way.name, self.prepared, self.given.time_s, beside)
 
-        prepared = self.prepared
-        if fault.feed is not None:
-            prepared = replace(prepared, log=fault.feed(prepared.log))
-        with np.errstate(all="ignore"):  # a fault may make it diverge
-            return filter_named(self.way.name, prepared, self.given.time_s, started)
+
+def filter_with(
+    fault: Fault,
+    name: str,
+    prepared: Prepared[SolveConfig],
+    time_s: Array,
+    observer: FilterObserver,
+) -> Reference | None:
+    """Run a filter with a fault; None where it breaks down.
+
+    Args:
+        fault: What it does otherwise, or what it is given.
+        name: Of FILTERS.
+        prepared: The log, and how the filter is set.
+        time_s: (n,) instants of the poses.
+        observer: Sees each step.
+    """
+
+    def started(ekf: Ekf) -> FilterObserver:
+        if fault.plant is not None:
+            fault.plant(ekf)
+        return observer
+
+    if fault.feed is not None:
+        prepared = replace(prepared, log=fault.feed(prepared.log))
+    with np.errstate(all="ignore"):  # a fault may make it diverge
+        return filter_named(name, prepared, time_s, started)

@@ -487,11 +487,11 @@ def _with_removed(run: EkfRun, removed_id: tuple[int, ...]) -> EkfRun:
     ids = np.append(e.landmark_id, np.array(removed_id, dtype=np.int64))
     unknown = np.concatenate((e.landmark, np.full((more, 2), np.nan)))
     whole = replace(run, estimate=replace(e, landmark_id=ids, landmark=unknown))
-    told, size = _replayed(whole).last, 3 + e.landmark.size
+    last, size = _replayed(whole).last, 3 + e.landmark.size
     mean = np.concatenate((run.departed[-1], e.landmark.ravel()))
-    p, across = told.covariance, told.covariance[size:, :size]
+    p, across = last.covariance, last.covariance[size:, :size]
     by = np.linalg.lstsq(p[:size, :size], across.T, rcond=None)[0].T
-    place = told.mean[size:] + by @ (mean - told.mean[:size])
+    place = last.mean[size:] + by @ (mean - last.mean[:size])
     held = e.joint_covariance
     rest = p[size:, size:] - by @ across.T + by @ held @ by.T
     joint = np.block([[held, held @ by.T], [by @ held, 0.5 * (rest + rest.T)]])

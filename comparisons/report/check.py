@@ -492,7 +492,9 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         if len(agree) < 2:
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
         required = f" (required: {result.required})"
-        departure = [] if result.departure is None else [str(result.departure)]
+        left = result.departure
+        departure = [] if left is None else [str(left)]
+        elsewhere = [] if left is None else [str(left), left.briefly]
         explained = [cause_name(gap) for gap in self.found.consequences]
         symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
         return Summary(
@@ -502,7 +504,9 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             explained=[DEPARTURE, *explained] if departure and explained else explained,
             reasons=departure if symptom else [],
             remarks=[
-                one for one in result.remarks if not ((symptom or explained) and one in departure)
+                remark
+                for remark in result.remarks
+                if not ((symptom or explained) and remark in elsewhere)
             ],
             steps=check_ladder(result),
             lines=[

@@ -59,7 +59,7 @@ class Design:
     scalars; `entries`: all at once, ranges first. covariance: form of the update. state: where pose
     and map stand. order: of sequential updates. wrap: the heading in the state, in the output.
     skip: so many first measurements of each landmark are dropped. gate: probability, of the
-    innovation squared. told: rejected measurements are recorded. delayed: a landmark is initialised
+    innovation squared. recorded: whether rejected measurements are. delayed: a landmark starts
     by its first measurement at a clone of the pose, once there is a second. prune: landmarks with
     fewer measurements are removed, at the end or (forget_s) once they were not measured for so
     long. prior: factor of the start's variances of position. rounds: of the iterated update.
@@ -78,7 +78,7 @@ class Design:
     wrap: Literal["no", "state", "output"] = "no"
     skip: int = 0
     gate: float = 0.0
-    told: bool = True
+    recorded: bool = True
     delayed: bool = False
     prune: int = 0
     forget_s: float = 0.0
@@ -170,7 +170,7 @@ class Filter:
         self.note("prior", {"pose": 3}, self.p[np.ix_(v, v)].copy(), point=self.x[v])
 
     def note(self, call: str, *matrices: Any, **more: Any) -> None:
-        """Keep what a recorder will be told."""
+        """Keep what goes into a recorder."""
         self.calls.append((call, matrices, more))
 
     # State
@@ -378,7 +378,7 @@ class Filter:
         """Return whether the gate, if any, lets a measurement pass."""
         if not self.design.gate or self.distance(k, name) <= GATE[self.design.gate]:
             return True
-        if self.design.told:
+        if self.design.recorded:
             at = np.concatenate((self.at["pose"], self.at[name]))
             h, nu, r = self.linearised([k], [name], self.x)
             point = self.x[at]
@@ -575,7 +575,7 @@ FORMS: dict[str, Design] = {
     "first dropped": Design(skip=1),
     "first dropped, scalars": Design("scalar", skip=1),
     "gate of 99 %": Design(gate=0.99),
-    "gate of 99 %, by landmark, not recorded": Design("landmark", gate=0.99, told=False),
+    "gate of 99 %, by landmark, not recorded": Design("landmark", gate=0.99, recorded=False),
     "gate of 99 %, scalars": Design("scalar", gate=0.99),
     "first dropped, gate of 95 %": Design(skip=1, gate=0.95),
     "delayed by clones": Design(delayed=True),

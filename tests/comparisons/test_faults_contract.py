@@ -16,10 +16,11 @@ from comparisons.errors import InputError
 from comparisons.estimates.reference import Reference
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import NONE, Fault, with_state
+from comparisons.fingerprints.trial import filter_with
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import SURVEYED
 from comparisons.pipeline.prepared import Prepared
-from comparisons.pipeline.references import _VARIANTS, EKF, FILTERS, filter_named, filter_of
+from comparisons.pipeline.references import _VARIANTS, EKF, FILTERS, filter_of
 from comparisons.pipeline.solve import prepare_solve
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks
@@ -66,16 +67,8 @@ def every_fault(log: Log) -> Iterator[Fault]:
 
 def run(prepared: Prepared[SolveConfig], fault: Fault = NONE, name: str = EKF) -> Reference | None:
     """A filter with a fault over the log; None where it breaks down, which is no error."""
-    if fault.feed is not None:
-        prepared = replace(prepared, log=fault.feed(prepared.log))
-
-    def started(ekf: Ekf) -> FilterObservers:
-        if fault.plant is not None:
-            fault.plant(ekf)
-        return FilterObservers()
-
-    with np.errstate(all="ignore"):
-        return filter_named(name, prepared, prepared.filter_timeline.instants_s(), started)
+    times = prepared.filter_timeline.instants_s()
+    return filter_with(fault, name, prepared, times, FilterObservers())
 
 
 @pytest.mark.parametrize(("odometry", "world"), EVERY)

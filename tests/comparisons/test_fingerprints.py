@@ -26,6 +26,7 @@ from comparisons.fingerprints.trial import (
     Fingerprint,
     Trial,
     Way,
+    filter_with,
     stamp_rounding,
 )
 from comparisons.jobs.check import check
@@ -50,16 +51,8 @@ def solution() -> Solution:
 
 def tried(solution: Solution, fault: Fault, name: str = EKF) -> Reference | None:
     """A filter with a fault; None where it breaks down."""
-    prepared = solution.prepared
-    if fault.feed is not None:
-        prepared = replace(prepared, log=fault.feed(prepared.log))
-
-    def started(ekf: Ekf) -> FilterObservers:
-        if fault.plant is not None:
-            fault.plant(ekf)
-        return FilterObservers()
-
-    return filter_named(name, prepared, solution.estimate.time_s, started)
+    times = solution.estimate.time_s
+    return filter_with(fault, name, solution.prepared, times, FilterObservers())
 
 
 def run(solution: Solution, fault: Fault, name: str = EKF) -> Reference:

@@ -249,7 +249,7 @@ def test_an_earlier_runs_folder_is_known(tmp_path: Path) -> None:
     (tmp_path / "files.sha256").write_text("".join(lines))
     same = configure(RunConfig, settings=["preset=nieto-2005", "log.sigmas=log"])
     check_free(tmp_path, same)
-    with pytest.raises(InputError, match=r"another run .preset; "):
+    with pytest.raises(InputError, match=r"with other settings .preset nieto-2005 there"):
         check_free(tmp_path, run_config())
 
 

@@ -127,10 +127,10 @@ def test_each_fault_is_the_first_sentence(words: str, folder: Path, tmp_path: Pa
     assert first.gap == "fault"
     assert first.evidence.startswith(words)
     assert "equals the estimate" in first.evidence
-    whole = "until it diverges" not in first.evidence
+    whole = "until both diverge" not in first.evidence
     summary = CheckReport.of(found).summary()
     assert bool(summary.explained) is whole
-    assert set(summary.explained) <= {"first difference", "estimate", "covariance"}
+    assert set(summary.explained) <= {"first difference", "estimate", "covariance", "consistency"}
     departed = any(remark.startswith("first difference") for remark in summary.remarks)
     assert departed is not whole
     unknown = CheckReport.of(replace(found, consequences=())).summary()

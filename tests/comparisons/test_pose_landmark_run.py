@@ -173,7 +173,7 @@ def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
     ("state", "words"),
     [
         (NoCross, ("augmentation", "scan landmark", "with blocks other than pose was left zero")),
-        (Conditioned, ("; removal ", "the covariance of block ", " is off by ")),
+        (Conditioned, ("; event ", " (removal of ", "the covariance of block ", " is off by ")),
     ],
 )
 def test_a_wrong_event_of_scan_landmarks_is_named(

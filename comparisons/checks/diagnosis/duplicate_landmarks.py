@@ -155,8 +155,8 @@ def _in_order(run: EkfRun | None, one: int, other: int) -> tuple[int, int]:
     if run is None:
         return min(one, other), max(one, other)
     new = run.trace.initialisations[POINT]
-    begun = dict(zip(new.landmark_index.tolist(), range(len(new.step)), strict=True))
-    return (one, other) if begun[one] < begun[other] else (other, one)
+    order = dict(zip(new.landmark_index.tolist(), range(len(new.step)), strict=True))
+    return (one, other) if order[one] < order[other] else (other, one)
 
 
 def _beginning(log: Log, run: EkfRun, first: int, second: int) -> Beginning | None:

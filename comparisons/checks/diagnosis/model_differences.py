@@ -298,12 +298,24 @@ def _compare(place: str, said: _Places, meant: _Places) -> _Differences:
         absent = np.logical_not(have.any(axis=(1, 2)))
         results.append((f"the Jacobian with respect to {name}", "(relative)", difference, absent))
     nothing = np.zeros(len(said.place), dtype=bool)
-    apart, within = whiten(meant.covariance, said.place - meant.place, said.covariance)
+    root = _root(meant.covariance)
+    apart, within = divided(root, said.place - meant.place, said.covariance)
     results.append((place, "sigma", np.abs(apart).max(axis=1), nothing))
-    (within,) = whiten(meant.covariance, within.transpose(0, 2, 1))
+    (within,) = divided(root, within.transpose(0, 2, 1))
     spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
     results.append(("the noise covariance", "(relative)", spread, nothing))
     return results
+
+
+def _root(covariance: Array) -> Array:
+    """(N, d, d) A with A A^T = P, which may be singular by rounding, as at points far away."""
+    try:
+        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        values, axes = np.linalg.eigh(covariance)
+        least = np.finfo(float).eps * values[:, -1:]
+        root = axes * np.sqrt(np.maximum(values, least))[:, None, :]
+    return root
 
 
 def _of_relations(r: LinearRelations) -> _Places:

@@ -12,7 +12,7 @@ from graphslam.smoother import SmootherResult
 from graphslam.variance_components import Component, components_of
 
 _TOLD = 1.5
-"""Largest upper end over lower end of the interval of a noise that is named: what is told worse
+"""Largest upper end over lower end of the interval of a noise that is named: what is known worse
 takes up any misfit."""
 NAMES = {"position": "positions", "pose landmark": "pose landmarks", "loop closure": "closures"}
 """Of components, where reports call them otherwise."""

@@ -110,11 +110,13 @@ def test_run_check_and_audit_name_the_same_event_and_fault(
     first = found.findings[0]
     assert first.check == "algebra"
     assert what in first.text
-    named = numbered(first.text, events)
+    named = numbered(first.text.partition(": ")[0], events)
     check = handed_in(c, tmp_path)
     for verdict, own in ((c.verdict, []), (present(check.trace).verdict, events)):
         cause = next(one for one in verdict.causes if one.gap == "algebra")
         assert numbered(cause.hint.removeprefix("check "), own) == named
+        assert what in cause.evidence
+        assert what not in cause.hint
     assert_same_gap(c, check, found)
 
 
