@@ -30,7 +30,7 @@ from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured, config_class
-from comparisons.experiments.montecarlo.study import Outcome
+from comparisons.experiments.montecarlo.study import StudyOutcome
 from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.extensions.scan_motion.report import FrontEndResult
 from comparisons.figures import kept_fields, meanings
@@ -56,7 +56,7 @@ RESULTS: dict[str, tuple[type, ...]] = {
     "solution.json": (SolutionResult,),
     "odometry.json": (FrontEndResult,),
     "map.json": (MapResult,),
-    "montecarlo.json": (Outcome,),
+    "montecarlo.json": (StudyOutcome,),
     "claims.json": (ReproductionResult,),
 }
 """Files of results, and the models or dataclasses of their contents."""

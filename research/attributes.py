@@ -33,7 +33,7 @@ from comparisons.config import EkfConfig
 from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park, victoria_park
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.logs.simulate.worlds import World, nieto_loop
+from comparisons.logs.simulate.worlds import LandmarkWorld, nieto_loop
 from ekf_reference.association.attributes import RememberedAttributes
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace
@@ -55,7 +55,7 @@ def paired_trees(seed: int, loops: float) -> Log:
     world = nieto_loop()
     turn = rng.uniform(0.0, 2.0 * np.pi, len(world.landmark))
     beside = world.landmark + APART_M * np.column_stack((np.cos(turn), np.sin(turn)))
-    world = World(world.path, np.vstack((world.landmark, beside)))
+    world = LandmarkWorld(world.path, np.vstack((world.landmark, beside)))
     log = simulate(rng, Drive(loops=0, extra_s=loops * Drive.loop_s), world)
     seen = log.measurements
     diameter = rng.uniform(*DIAMETERS_M, len(world.landmark))[seen.landmark]
@@ -160,7 +160,7 @@ def park(log: Log) -> None:
         )
 
 
-class Stretch(NamedTuple):
+class BlindStretch(NamedTuple):
     """A blind stretch, and what was made of the measurements (S,) after it.
 
     attributes: `on` or `off`, for them. known: landmarks in the map before. rows: the measurements'
@@ -203,7 +203,7 @@ def lost(log: Log, association: str, blind_s: Sequence[float], every_s: float) -
     by_position = build_association(log, choices.model_copy(update={"attributes": "off"}))
     ekf.association = RememberedAttributes(by_position, using.memory)
     true = np.full(len(log.measurements.time_s), -1, dtype=np.intp)
-    found: list[Stretch] = []
+    found: list[BlindStretch] = []
     begins = np.arange(
         log.prior.time_s + 2.0 * every_s, log.end_s - max(blind_s) - AFTER_S, every_s
     )
@@ -215,11 +215,11 @@ def lost(log: Log, association: str, blind_s: Sequence[float], every_s: float) -
             if attributes == "on":
                 copied.association = rule
             seen = blindly(log, copied, epoch.time_s, length)
-            found.append(Stretch(length, attributes, ekf.state.landmark_count, *seen))
+            found.append(BlindStretch(length, attributes, ekf.state.landmark_count, *seen))
     print_stretches(f"{log.name}, blind for, {association}", found, true)
 
 
-def print_stretches(title: str, found: list[Stretch], true: LandmarkIndices) -> None:
+def print_stretches(title: str, found: list[BlindStretch], true: LandmarkIndices) -> None:
     """How the measurements after blind stretches were taken, by length and use of attributes.
 
     true: (M,) what the filter that was never blind took every measurement for.

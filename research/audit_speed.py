@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.audit.audit import audit
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 from research.script import options
 from research.timing import timed
@@ -84,7 +84,7 @@ def commit_s(path: Path, *, synced: bool) -> float:
 
 def read(path: Path) -> int:
     """Go through a trace; return the number of its events."""
-    return sum(1 for _ in Trace(path))
+    return sum(1 for _ in TraceReader(path))
 
 
 def main() -> None:
@@ -98,7 +98,7 @@ def main() -> None:
         for _ in range(given.rounds):
             path.unlink(missing_ok=True)
             turns.append((timed(run, steps)[1], timed(run, steps, path)[1]))
-        events = Trace(path).counts.events
+        events = TraceReader(path).counts.events
         waited, unsynced = (
             1e6 / COMMIT_EVENTS * min(commit_s(other, synced=one) for _ in range(given.rounds))
             for one in (True, False)

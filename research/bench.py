@@ -39,14 +39,14 @@ JOBS = {
 
 
 @dataclass(frozen=True)
-class Found:
+class JobTiming:
     """What became of a job: its line, and whether the tree is slower or fails."""
 
     line: str
     fallen: bool = False
 
 
-def compare(name: str, tree: Side, base: Side, repeat: int = REPEAT) -> Found:
+def compare(name: str, tree: Side, base: Side, repeat: int = REPEAT) -> JobTiming:
     """Measure a job with the tree's code and with the base's.
 
     Args:
@@ -64,7 +64,7 @@ def compare(name: str, tree: Side, base: Side, repeat: int = REPEAT) -> Found:
             again = interleaved(tree, base, repeat)
             measured = min(measured, again, key=lambda one: one.ratio)
     except RuntimeError as error:
-        return Found(f"{name}: FAILED: {error}", fallen=True)
+        return JobTiming(f"{name}: FAILED: {error}", fallen=True)
     ratio, ratios = measured.ratio, measured.ratios
     seconds = sum(one.cpu_s for one in measured.ours) / len(measured.ours)
     line = (
@@ -72,8 +72,8 @@ def compare(name: str, tree: Side, base: Side, repeat: int = REPEAT) -> Found:
         f"({100.0 * (min(ratios) - 1.0):+.0f} to {100.0 * (max(ratios) - 1.0):+.0f} %)"
     )
     if ratio > 1.0 + TOLERANCE:
-        return Found(f"{line}, SLOWER by more than {100.0 * TOLERANCE:.0f} %", fallen=True)
-    return Found(line)
+        return JobTiming(f"{line}, SLOWER by more than {100.0 * TOLERANCE:.0f} %", fallen=True)
+    return JobTiming(line)
 
 
 def side(words: str, code: Path, out: Path) -> Side:

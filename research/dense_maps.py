@@ -31,7 +31,7 @@ from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from research.script import options, present
 
 Array = NDArray[np.float64]
@@ -192,7 +192,7 @@ def inside_regions(one: DenseMapping, layer: str) -> tuple[Array, Array]:
         return distances(one, layer)
     held = one.classic
     kept = np.flatnonzero(one.placed.locate(held.point).region >= 0)
-    there = Samples(held.point[kept], held.occupancy[kept], held.region[kept])
+    there = LayerSamples(held.point[kept], held.occupancy[kept], held.region[kept])
     return distances(replace(one, classic=there), layer)
 
 

@@ -37,7 +37,7 @@ _ROUNDS = 12
 _SUFFIXES = (".g2o", ".graph", ".txt")
 
 
-class Outcome(NamedTuple):
+class GraphOutcome(NamedTuple):
     """Of one graph. ours, theirs: errors by gtsam's graph, half of chi-square."""
 
     name: str
@@ -56,7 +56,7 @@ class Outcome(NamedTuple):
         return self.ours <= self.theirs * (1.0 + _AS_GOOD) + 1e-9
 
 
-def measured(path: Path, starts: int) -> Outcome:
+def measured(path: Path, starts: int) -> GraphOutcome:
     """Solve a graph both ways."""
     graph, given = (gtsam.readG2o if path.suffix == ".g2o" else gtsam.load2D)(str(path))
     count = graph.nrFactors()
@@ -74,7 +74,7 @@ def measured(path: Path, starts: int) -> Outcome:
             taken_s.append(spent_s)
     verdict = "verified" if solution.verified else solution.lacks[0]
     sha = hashlib.sha256(path.read_bytes()).hexdigest()[:8]
-    return Outcome(
+    return GraphOutcome(
         f"{path.stem} ({sha})",
         len(poses),
         count,

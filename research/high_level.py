@@ -41,7 +41,7 @@ ERRORS = ("position [m]", "heading [deg]", "position, 2nd", "heading, 2nd")
 COLUMNS = (*ERRORS, "NEES", "NEES, end")
 
 
-class Drive(NamedTuple):
+class HighLevelSeed(NamedTuple):
     """Of one seed. error: (2, 6) without and with landmarks; number: found, kept, measured."""
 
     error: Array
@@ -67,7 +67,7 @@ def errors(log: Log, run: EkfRun) -> Array:
     return np.array((*rms(time_s >= 0.0), *rms(later), nees.mean(), nees[-1]))
 
 
-def driven(seed: int, loops: int, every_s: float) -> Drive:
+def driven(seed: int, loops: int, every_s: float) -> HighLevelSeed:
     """Without and with them; without, no map is made."""
     log = open_log("occupancy-loop", None, 1, SimulationChoices(seed, loops, 1.0))
     source = HighLevelSource(log, HighLevelOptions(every_s=every_s))
@@ -77,14 +77,14 @@ def driven(seed: int, loops: int, every_s: float) -> Drive:
     made = source.run()
     kept = int(np.count_nonzero(made.landmark_index >= 0))
     number = len(made.landmark_index), kept, made.looks.get("seen", 0)
-    return Drive(np.array(both), number, made.looks)
+    return HighLevelSeed(np.array(both), number, made.looks)
 
 
 def value_of_landmarks(seeds: Sequence[int], loops: int, every_s: float) -> None:
     """Paired over the seeds."""
     print(f"occupancy-loop, {loops} loops, a search every {every_s:g} s; without -> with")
     print("seed  found  kept  measured   " + "   ".join(f"{name:>16}" for name in COLUMNS))
-    drives, looks = list[Drive](), Counter[str]()
+    drives, looks = list[HighLevelSeed](), Counter[str]()
     for seed in seeds:
         drives.append(driven(seed, loops, every_s))
         looks.update(drives[-1].looks)

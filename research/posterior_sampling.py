@@ -38,7 +38,7 @@ DRAWS = (500, 2000, 8000)
 """Of each chain, until they converge."""
 
 
-class Case(NamedTuple):
+class SamplingCase(NamedTuple):
     """What is driven and how well it is known.
 
     motion: (x, y, heading) of each of the steps. step_sigma: its standard deviations. heading: of
@@ -54,11 +54,11 @@ class Case(NamedTuple):
     seen: NDArray[np.bool_]
 
 
-def straight(distance_m: float = 8.0, **changes: object) -> Case:
+def straight(distance_m: float = 8.0, **changes: object) -> SamplingCase:
     """Four poses a metre apart that measure three landmarks ahead and beside, each time."""
     turn = np.array((-0.8, 0.1, 0.9))
     places = distance_m * np.column_stack((np.cos(turn), np.sin(turn)))
-    case = Case(
+    case = SamplingCase(
         np.tile((1.0, 0.0, 0.1), (3, 1)),
         (0.1, 0.05, 0.02),
         0.05,
@@ -69,7 +69,7 @@ def straight(distance_m: float = 8.0, **changes: object) -> Case:
     return case._replace(**changes)  # type: ignore[arg-type]
 
 
-def circle(count: int = 16, heading_step: float = 0.1) -> Case:
+def circle(count: int = 16, heading_step: float = 0.1) -> SamplingCase:
     """Steps around a circle of 10 m; the landmark seen first closes the loop."""
     turn = 2.0 * np.pi / count
     about = np.exp(2j * np.pi * np.arange(4) / 4)
@@ -81,10 +81,10 @@ def circle(count: int = 16, heading_step: float = 0.1) -> Case:
     seen[count - 1 :, 0] = True
     chord = 20.0 * np.sin(0.5 * turn)
     motion = np.tile((chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn), (count, 1))
-    return Case(motion, (0.2, 0.1, heading_step), 0.02, (0.2, 0.05), places, seen)
+    return SamplingCase(motion, (0.2, 0.1, heading_step), 0.02, (0.2, 0.05), places, seen)
 
 
-CASES: dict[str, Callable[[], Case]] = {
+CASES: dict[str, Callable[[], SamplingCase]] = {
     "small noise": straight,
     "start's heading 0.3 rad": lambda: straight(heading=0.3),
     "bearing 0.2 rad": lambda: straight(measured=(0.1, 0.2)),
@@ -116,7 +116,7 @@ class Drawn(NamedTuple):
     truth: Array
 
 
-def draw_problem(case: Case, rng: np.random.Generator) -> Drawn:
+def draw_problem(case: SamplingCase, rng: np.random.Generator) -> Drawn:
     """Draw the truth from the prior, then what is measured of it.
 
     A landmark has no prior but its first measurement, which is the same in all problems: given it
@@ -204,7 +204,7 @@ def solve(drawn: Drawn, rng: np.random.Generator) -> Solved:
     return Solved(drawn.truth, gaussians, draws)
 
 
-def solve_all(case: Case, problems: int, rng: np.random.Generator) -> list[Solved]:
+def solve_all(case: SamplingCase, problems: int, rng: np.random.Generator) -> list[Solved]:
     """Draw and solve so many problems."""
     return [solve(draw_problem(case, rng), rng) for _ in range(problems)]
 

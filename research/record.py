@@ -64,7 +64,7 @@ atexit.register(leave)
 """
 
 
-class RecordError(Exception):
+class StoredResultError(Exception):
     """A record cannot be made or read: what, where, and what to do, in one line."""
 
 
@@ -218,9 +218,9 @@ def read_registry(path: Path = REGISTRY) -> Registry:
     try:
         registry = Registry.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, ValidationError) as error:
-        raise RecordError(f"{path.name}: {_first(error)}") from error
+        raise StoredResultError(f"{path.name}: {_first(error)}") from error
     if len(registry.tables) != sum(len(section.table) for section in registry.section):
-        raise RecordError(f"{path.name}: two tables have the same name")
+        raise StoredResultError(f"{path.name}: two tables have the same name")
     return registry
 
 
@@ -231,9 +231,11 @@ def read_records(registry: Registry, root: Path = ROOT) -> dict[str, Record]:
         try:
             record = Record.model_validate_json(path.read_text(encoding="utf-8"))
         except ValidationError as error:
-            raise RecordError(f"{path.name}: {_first(error)}; record it anew") from error
+            raise StoredResultError(f"{path.name}: {_first(error)}; record it anew") from error
         if record.name != path.stem or record.name not in registry.tables:
-            raise RecordError(f"{path.name}: no table of {REGISTRY.name}; delete it or name it")
+            raise StoredResultError(
+                f"{path.name}: no table of {REGISTRY.name}; delete it or name it"
+            )
         found[record.name] = record
     return found
 
@@ -307,7 +309,7 @@ def _cell(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Done:
+class TableOutputs:
     """What the commands of a table left: folders by label, printed lines, loaded files."""
 
     folders: dict[str, Path]
@@ -315,7 +317,7 @@ class Done:
     loaded: set[str]
 
 
-def run(table: Table, data: Path, work: Path) -> Done:
+def run(table: Table, data: Path, work: Path) -> TableOutputs:
     """Run all commands of a table in `work`. Raises RecordError where one fails."""
     loaded = work / "loaded"
     loaded.mkdir()
@@ -325,7 +327,7 @@ def run(table: Table, data: Path, work: Path) -> Done:
         "RECORD_LOADED": str(loaded),
         "OPENBLAS_NUM_THREADS": "1",
     }
-    done = Done({}, [], set())
+    done = TableOutputs({}, [], set())
     for number, (label, command) in enumerate(table.commands.items()):
         done.folders[label] = work / f"out-{number}"
         words = [
@@ -349,7 +351,7 @@ def run(table: Table, data: Path, work: Path) -> Done:
         quiet = ended.returncode == 1 and not ended.stderr.strip()  # found what it looks for
         if not (quiet or ended.returncode in fine):
             last = (ended.stderr.strip() or "nothing printed").splitlines()[-1]
-            raise RecordError(f"`{command}` exited with {ended.returncode}: {last}")
+            raise StoredResultError(f"`{command}` exited with {ended.returncode}: {last}")
         done.printed.extend(line.rstrip() for line in ended.stdout.strip("\n").splitlines())
     for listed in loaded.iterdir():
         done.loaded.update(listed.read_text().splitlines())
@@ -368,9 +370,13 @@ def sources(loaded: Sequence[str]) -> dict[str, str]:
 def make(table: Table, data: Path) -> Record:
     """Run a table's commands and return the record. Raises RecordError."""
     if _git("status", "--porcelain", "--", *HASHED, *(f":!{one}" for one in UNHASHED)):
-        raise RecordError(f"a record names a commit: commit what changed in {', '.join(HASHED)}")
+        raise StoredResultError(
+            f"a record names a commit: commit what changed in {', '.join(HASHED)}"
+        )
     if any("DATA" in one for one in table.commands.values()) and not data.is_dir():
-        raise RecordError(f"{table.name} needs the public logs: give their folder with --data")
+        raise StoredResultError(
+            f"{table.name} needs the public logs: give their folder with --data"
+        )
     commit, before = _git("rev-parse", "--short=10", "HEAD"), _processor_s()
     with tempfile.TemporaryDirectory() as folder:
         done = run(table, data, Path(folder))
@@ -401,7 +407,7 @@ def make(table: Table, data: Path) -> Record:
 Cells = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
-def _runs(table: Table, done: Done) -> Cells:
+def _runs(table: Table, done: TableOutputs) -> Cells:
     """One row per command, its values by their place in the folder's JSON file."""
     rows = []
     for label, folder in done.folders.items():
@@ -426,7 +432,7 @@ def _value(result: Any, place: str) -> str:
     return ""
 
 
-def _claims(table: Table, done: Done) -> Cells:
+def _claims(table: Table, done: TableOutputs) -> Cells:
     """One row per claim of each figure that was reproduced."""
     rows = []
     for folder in done.folders.values():
@@ -439,7 +445,7 @@ def _claims(table: Table, done: Done) -> Cells:
     return ("figure", "claim", "measured", "asked", "holds"), tuple(rows)
 
 
-def _montecarlo(table: Table, done: Done) -> Cells:
+def _montecarlo(table: Table, done: TableOutputs) -> Cells:
     """One row per filter: ANEES, bold outside of its band, and errors."""
     parts, errors = ("pose", "position", "heading", "landmarks"), ("position_m", "heading_rad")
     study = json.loads((next(iter(done.folders.values())) / "montecarlo.json").read_text())
@@ -513,7 +519,7 @@ def main() -> None:
     choices = parser.parse_args()
     try:
         _obey(choices)
-    except RecordError as error:
+    except StoredResultError as error:
         print(f"record: {error}", file=sys.stderr)
         raise SystemExit(2) from None
 
@@ -523,11 +529,11 @@ def _obey(choices: argparse.Namespace) -> None:
     if choices.names or choices.due:
         names = choices.names or _due(registry, idle=choices.idle)
         if unknown := [name for name in names if name not in registry.tables]:
-            raise RecordError(f"{unknown[0]}: no such table; without a name all are listed")
+            raise StoredResultError(f"{unknown[0]}: no such table; without a name all are listed")
         failed = [name for name in names if not _record(registry.tables[name], choices.data)]
         write_pages(registry)
         if failed:
-            raise RecordError(f"not recorded: {', '.join(failed)}")
+            raise StoredResultError(f"not recorded: {', '.join(failed)}")
     elif choices.page:
         write_pages(registry)
     else:
@@ -550,7 +556,7 @@ def _record(table: Table, data: Path) -> bool:
     """Record one table; a failure is one line, and the next table is taken."""
     try:
         record = make(table, data.resolve())
-    except RecordError as error:
+    except StoredResultError as error:
         print(f"record: {table.name}: {error}", file=sys.stderr, flush=True)
         return False
     path = ROOT / "docs/results/records" / f"{table.name}.json"

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
+from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchInvariantEkf
 from comparisons.experiments.variants.batch_models import turned
-from comparisons.experiments.variants.batch_state import BatchState, InvariantState, measured
-from comparisons.trace.events import Augment, Blocks, Directions, Event, Predict, Prior, Update
+from comparisons.experiments.variants.batch_state import BatchInvariantState, BatchState, measured
+from comparisons.trace.events import Augment, Blocks, Directions, Event, Predict, TracePrior, Update
 
 SENSOR = "landmarks"
 _POSE, _NAMES = 3, ("east", "north", "heading")
@@ -19,7 +19,7 @@ Sinks = Mapping[int, Callable[[Event], None]]
 """Takes the events of a run, by its number in the batch."""
 
 
-def record(filter_: BatchEkf | InvariantEkf, capacity: int, sinks: Sinks) -> None:
+def record(filter_: BatchEkf | BatchInvariantEkf, capacity: int, sinks: Sinks) -> None:
     """Let a filter at its start send what it does from now on.
 
     At the start the state is the pose alone, all of which is what the landmarks cannot tell.
@@ -30,7 +30,7 @@ def record(filter_: BatchEkf | InvariantEkf, capacity: int, sinks: Sinks) -> Non
         sinks: What takes the events.
     """
     recorder = _Recorder(filter_.state, sinks)
-    kind = _RecordedInvariant if isinstance(filter_, InvariantEkf) else _RecordedState
+    kind = _RecordedInvariant if isinstance(filter_, BatchInvariantEkf) else _RecordedState
     filter_.state = kind(filter_.state, capacity, recorder)
 
 
@@ -42,7 +42,9 @@ class _Recorder:
         self._number, self._step = -1, 0
         self._blocks: Blocks = ("pose",)
         at = self._next()
-        self._send(lambda run: Prior(*at, self._blocks, (_POSE,), state.covariance[run].copy()))
+        self._send(
+            lambda run: TracePrior(*at, self._blocks, (_POSE,), state.covariance[run].copy())
+        )
         at = self._next()
         self._send(lambda run: Directions(*at, self._blocks, np.eye(_POSE), _NAMES, (SENSOR,)))
 
@@ -114,7 +116,7 @@ class _RecordedState(BatchState):
         super().augment(point, lever, spread)
 
 
-class _RecordedInvariant(_RecordedState, InvariantState):
+class _RecordedInvariant(_RecordedState, BatchInvariantState):
     """Of right-invariant errors: a heading that is wrong turns all points about the origin."""
 
     def predict_invariant(self, pose: Array, gamma: Array, control_noise: Array) -> None:

@@ -33,7 +33,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.simulate.drive import Drive
 from comparisons.logs.simulate.drive import simulate as simulated
-from comparisons.logs.simulate.worlds import World
+from comparisons.logs.simulate.worlds import LandmarkWorld
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Stage(NamedTuple):
     peak_mib: float
 
 
-def field(landmarks: int) -> World:
+def field(landmarks: int) -> LandmarkWorld:
     """A square field of landmarks on a disturbed grid, and a closed loop through all of it.
 
     The loop goes up and down in lanes, and back along the field's edge.
@@ -81,7 +81,7 @@ def field(landmarks: int) -> World:
     near, point = cKDTree(path).query(places)
     aside = np.where(near[:, None] < CLEAR_M, places - path[point], 0.0)
     places += aside * (CLEAR_M / np.maximum(near, 0.01) - 1.0)[:, None]
-    return World(path, places)
+    return LandmarkWorld(path, places)
 
 
 def _rounded(corners: Array) -> Array:

@@ -48,7 +48,7 @@ class Errors(NamedTuple):
     beacon_most: float
 
 
-class Run(NamedTuple):
+class ScanCarParkDrive(NamedTuple):
     """verdict, landmarks, used: decided. ekf, smoother, wheels. scans_per_s of a core."""
 
     verdict: str
@@ -64,7 +64,7 @@ def main() -> None:
     """Run all and print a line each."""
     asked = options(__doc__, "log", runs=20, processes=2, end=float)
     work = (delayed(one)(asked.log, number, asked.end) for number in range(asked.runs + 1))
-    runs: list[Run] = []
+    runs: list[ScanCarParkDrive] = []
     for number, run in enumerate(Parallel(n_jobs=asked.processes, return_as="generator")(work)):
         runs.append(run)
         print(
@@ -86,13 +86,13 @@ def main() -> None:
         print(f"{name}: figures differ by at most {max(apart, default=0.0):.1e} m")
 
 
-def one(path: str, number: int, end_s: float | None) -> Run:
+def one(path: str, number: int, end_s: float | None) -> ScanCarParkDrive:
     """Run `number`, 0 with the inputs as they are."""
     log = cut_log(open_log(path), end_s=end_s)
     if number:
         log = perturbed(log, np.random.default_rng(number))
     c, spent = timed(compare, log, run_config(landmarks="scans"))
-    return Run(
+    return ScanCarParkDrive(
         c.verdict.outcome,
         len(c.ekf.estimate.pose_landmarks),
         len(c.ekf.pose_landmarks.measured),

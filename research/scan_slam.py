@@ -47,7 +47,7 @@ LOOK = np.diag((0.3, 0.3, 0.03)) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class ScanSlamDrive:
     """One drive. Lengths [m]: ATE; map before the closing, in the end, and the smoother's.
 
     shape: RMS distance of the landmarks from their true axes after a rigid alignment, which takes
@@ -93,9 +93,9 @@ def main() -> None:
     """Run all, print a table and the means."""
     asked = options(__doc__, seeds=30, first=100, laser="table", seconds=math.inf, processes=2)
     seeds = range(asked.first, asked.first + asked.seeds)
-    names = [f.name for f in fields(Row)]
+    names = [f.name for f in fields(ScanSlamDrive)]
     print("seed", *(f"{name:>14}" for name in names))
-    rows: list[Row] = []
+    rows: list[ScanSlamDrive] = []
     work = (delayed(measured)(seed, asked.laser, asked.seconds) for seed in seeds)
     drives = Parallel(n_jobs=asked.processes, return_as="generator")(work)
     for seed, row in zip(seeds, drives, strict=True):
@@ -105,11 +105,11 @@ def main() -> None:
     summary(rows)
 
 
-def summary(rows: list[Row]) -> None:
+def summary(rows: list[ScanSlamDrive]) -> None:
     """Print means with their 95 % intervals, and bands."""
     count = len(rows)
     print(f"{'':18} {'mean':>9} {'interval of the mean':>22} {'band':>16} {'largest':>9}")
-    for name in (f.name for f in fields(Row) if f.name != "verdict"):
+    for name in (f.name for f in fields(ScanSlamDrive) if f.name != "verdict"):
         value = np.array([vars(row)[name] for row in rows])
         half = 1.96 * value.std(ddof=1) / math.sqrt(count) if count > 1 else math.nan
         interval, band = f"{value.mean() - half:.3g} to {value.mean() + half:.3g}", ""
@@ -129,7 +129,7 @@ def summary(rows: list[Row]) -> None:
         print(f"{outcome}: {sum(row.verdict == outcome for row in rows)} of {count}")
 
 
-def measured(seed: int, laser: str, seconds: float) -> Row:
+def measured(seed: int, laser: str, seconds: float) -> ScanSlamDrive:
     """One drive, or its beginning; scans without odometry are not looked at."""
     drive = experiment(laser)
     log = simulate(np.random.default_rng(seed), drive)
@@ -147,7 +147,7 @@ def measured(seed: int, laser: str, seconds: float) -> Row:
     true = true_axes(c, drive)
     places, distances = landmark_nees(c, true)
     before, last, smoothed, shape_before, shape_last = map_errors(c, true)
-    return Row(
+    return ScanSlamDrive(
         verdict=c.verdict.outcome,
         landmarks=len(estimate.pose_landmarks),
         used=len(c.ekf.pose_landmarks.measured),

@@ -19,9 +19,9 @@ from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.scenario import read_scenario
-from comparisons.experiments.scenarios.world import World, build_world, measure
-from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
-from comparisons.trace.events import Directions, Event, Prior
+from comparisons.experiments.scenarios.world import ScenarioWorld, build_world, measure
+from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchInvariantEkf
+from comparisons.trace.events import Directions, Event, TracePrior
 from ekf_reference.core.geometry import wrap_angle
 from research.recorded_batch import record
 from research.script import options, present, print_head, print_row
@@ -41,7 +41,7 @@ class Follower:
 
     def take(self, event: Event) -> None:
         """Take the next event."""
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             self._replay = Replay(event)
         elif isinstance(event, Directions) and self._replay is not None:
             self._found = SpuriousInformation(event, self._replay)
@@ -53,7 +53,7 @@ class Follower:
         return present(self._found).result()
 
 
-class Measured(NamedTuple):
+class VariantMeans(NamedTuple):
     """Of one variant over the steps (T,), the mean over the runs.
 
     information [1/rad^2] of the heading, zero where all is rounding. rounding: what there is of it
@@ -66,11 +66,11 @@ class Measured(NamedTuple):
     pose: Array
 
 
-def measured(name: str, world: World, runs: int) -> Measured:
+def measured(name: str, world: ScenarioWorld, runs: int) -> VariantMeans:
     """Run one variant over all runs."""
     data = measure(world, range(runs))
     filter_ = FILTERS[name](world, runs)
-    assert isinstance(filter_, BatchEkf | InvariantEkf)
+    assert isinstance(filter_, BatchEkf | BatchInvariantEkf)
     followers = [Follower() for _ in range(runs)]
     record(filter_, len(world.landmark), {run: one.take for run, one in enumerate(followers)})
     steps = len(world.seen)
@@ -87,7 +87,7 @@ def measured(name: str, world: World, runs: int) -> Measured:
     learnt = [one.learnt() for one in followers]
     information = np.mean([_at_steps(one, steps) for one in learnt], axis=0)
     most = max(float(one.information[HEADING, HEADING]) for one in learnt)
-    return Measured(information, most, heading, pose)
+    return VariantMeans(information, most, heading, pose)
 
 
 def _at_steps(found: Learnt, steps: int) -> Array:
@@ -97,7 +97,7 @@ def _at_steps(found: Learnt, steps: int) -> Array:
     return result
 
 
-def print_table(by_variant: dict[str, Measured], steps: int) -> None:
+def print_table(by_variant: dict[str, VariantMeans], steps: int) -> None:
     """A row for each variant and step."""
     titles = ("information [1/rad^2]", "sigma [deg]", "NEES heading", "NEES pose")
     print_head("filter", "step", *titles)

@@ -45,7 +45,7 @@ Side = Callable[[], Spent]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pair:
+class TimedPair:
     """The same work by us and by a peer.
 
     name: with the peer's first. work: in words, with its size. ours, theirs: each does it once.
@@ -66,7 +66,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Measured:
+class PairTimes:
     """What the repetitions of a pair took, in their order."""
 
     ours: tuple[Spent, ...]
@@ -84,10 +84,10 @@ class Measured:
         return statistics.median(self.ratios)
 
 
-def interleaved(ours: Side, theirs: Side, repeat: int) -> Measured:
+def interleaved(ours: Side, theirs: Side, repeat: int) -> PairTimes:
     """Measure in turns: ours, the peer's, ours, and so on."""
     spent = [(ours(), theirs()) for _ in range(repeat)]
-    return Measured(tuple(one for one, _ in spent), tuple(one for _, one in spent))
+    return PairTimes(tuple(one for one, _ in spent), tuple(one for _, one in spent))
 
 
 def median(spent: Sequence[Spent]) -> Spent:

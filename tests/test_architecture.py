@@ -501,3 +501,44 @@ def test_no_extension_imports_another_but_what_it_stands_on() -> None:
             others = {one.removeprefix(prefix) for one in to if one.startswith(prefix)}
             others = {one for one in others if "." in one and one.split(".")[0] != own}
             assert others <= stands_on.get(own, set()), f"{name} imports {sorted(others)}"
+
+
+TWINS = {
+    "LandmarkKind": "each estimator has a table of what it may measure",
+    "Layout": "each estimator has an order of its states' entries",
+    "LoopClosures": "of a log with its units, and of a graph with its keys",
+    "Stabilisation": "each estimator adds the same small noise",
+    "Template": "each estimator has a landmark's shape",
+}
+"""Public classes that share a name on purpose, and why: estimators know nothing of each other."""
+
+
+def places_of_classes(sources: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Folders of each public class at the top of a module, a folder as often as it has one."""
+    places: dict[str, list[str]] = {}
+    for path, source in sources:
+        for state in parsed(source).body:
+            if isinstance(state, ast.ClassDef) and not state.name.startswith("_"):
+                places.setdefault(state.name, []).append(path.partition("/")[0])
+    return {name: sorted(folders) for name, folders in places.items() if len(folders) > 1}
+
+
+def test_no_two_classes_share_a_name() -> None:
+    """Of the product and of research; examples stand alone, each by itself."""
+    folders = ("comparisons", "ekf_reference", "graphslam", "slamcheck", "research")
+    sources = [
+        (path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))
+        for folder in folders
+        for path in (ROOT / folder).rglob("*.py")
+    ]
+    shared = places_of_classes(sources)
+    assert set(shared) == set(TWINS)
+    for name, places in shared.items():
+        assert len(places) == len(set(places)) == 2, name
+        assert set(places) & set(TESTED), name
+
+
+def test_a_second_class_of_a_name_is_found() -> None:
+    twice = [("comparisons/a.py", "class Row: ..."), ("comparisons/b.py", "class Row: ...")]
+    assert places_of_classes(twice) == {"Row": ["comparisons", "comparisons"]}
+    assert places_of_classes(twice[:1]) == {}

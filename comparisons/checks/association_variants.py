@@ -29,7 +29,7 @@ from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.adapters.smoother_association import Alternative
+    from comparisons.adapters.smoother_association import AlternativeAssociation
 
 APART = 0.7
 """Root mean square distance of the poses, in sigma, from which a difference matters."""
@@ -153,7 +153,7 @@ def check_association(
     landmark_index: LandmarkIndices,
     time_s: Array,
     optimum: tuple[Array, Array, float, int],
-    others: Iterable[Alternative],
+    others: Iterable[AlternativeAssociation],
 ) -> AssociationCheck:
     """Compare an association with others of the same measurements.
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from comparisons.cli.flags import Command
+from comparisons.cli.flags import DenseHelpCommand
 from comparisons.cli.support import BROKEN, INTERRUPTED, UNUSABLE, fail
 from comparisons.errors import note
 from comparisons.options import renamed_words
@@ -97,7 +97,7 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
         elif several:
             app.add_typer(command, name=one)
         else:
-            app.command(one, cls=Command)(command)
+            app.command(one, cls=DenseHelpCommand)(command)
     found: Any = typer.main.get_command(app)
     if name is not None:
         found = found.commands[name]

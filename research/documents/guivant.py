@@ -36,7 +36,7 @@ from ekf_reference.models.position import PositionFixes
 from research.documents.claims import Claims, at_least, at_most, elsewhere, theirs
 from research.documents.drawing import TRUE_PATH_COLOUR, chart, mark, plan
 from research.documents.drives import Drives, truth_in_order
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 
 ALONE_S, AFTER_S = 200.0, 30.0
 """How long the filter goes without positions (Fig. 9), and how long it is watched with them."""
@@ -411,25 +411,25 @@ def _draw_4_2(canvas: Canvas, found: Drives[SplitLog]) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="G7", title="The path, the trees, and where GPS reports",
         says="GPS is unavailable where trees are dense and reliable in the open; dense trees are "
         "where SLAM has its landmarks.",
         experiment=COVERED, draw=_draw_7, claims=_claims_7, size=(8.0, 6.5),
     ),
-    Figure(
+    DocumentFigure(
         name="G8", title="Deviations of vehicle and landmarks",
         says="The vehicle's deviation grows while it explores, falls when it revisits a known "
         "place, and falls significantly, as do the landmarks', when GPS is incorporated.",
         experiment=AIDED, draw=_draw_8, claims=_claims_8, size=(11.0, 4.4),
     ),
-    Figure(
+    DocumentFigure(
         name="G9", title="GPS arrives after 200 s of SLAM alone",
         says="After 200 s of pure SLAM the first GPS positions differ significantly from the "
         "estimate; they are incorporated as a sequence of updates, and the filter stays sound.",
         experiment=AIDED, draw=_draw_9, claims=_claims_9, size=(11.0, 4.8),
     ),
-    Figure(
+    DocumentFigure(
         name="G4.2", title="Updates made in parts",
         says="A sequence of weaker updates, each linearised anew, works better than one large "
         "update, as in closing a loop.",

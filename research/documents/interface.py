@@ -86,7 +86,7 @@ class Experiment(Generic[D]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure(Generic[D]):
+class DocumentFigure(Generic[D]):
     """One row of the catalogue.
 
     name: as on the command line, the document's initial and the figure's number. title: what is
@@ -116,7 +116,7 @@ class Figure(Generic[D]):
             return tuple(self.claims(data))
 
 
-AnyFigure = Figure[Any]
+AnyFigure = DocumentFigure[Any]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.logs.log import Log
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 
 SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0
 """Of a Gaussian in the plane: the share within 3 sigma, and the squared distance there."""
@@ -58,7 +58,7 @@ def off_gps(log: Log, time_s: Array, pose: Array) -> Array:
     return away
 
 
-def occupied(samples: Samples) -> Array:
+def occupied(samples: LayerSamples) -> Array:
     """(N, 2) what a layer holds with a probability above 0.8."""
     point: Array = samples.point[samples.occupancy > OCCUPIED]
     return point

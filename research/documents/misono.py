@@ -32,11 +32,11 @@ from graphslam.increments import dead_reckoned
 from research.documents.claims import Claims, at_least, at_most, theirs
 from research.documents.drawing import TRUE_PATH_COLOUR, plan
 from research.documents.drives import Drives, truth_in_order
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 from research.documents.measures import rms
 
 
-class Given(NamedTuple):
+class FilterSetting(NamedTuple):
     """A filter, none for dead reckoning, and whether it is given labels and positions."""
 
     filter: str
@@ -44,11 +44,11 @@ class Given(NamedTuple):
 
 
 ESTIMATORS = {
-    "dead reckoning": Given("", aided=False),
-    "misono": Given("misono", aided=False),
-    "misono-full": Given("misono-full", aided=False),
-    "misono, aided": Given("misono", aided=True),
-    "misono-full, aided": Given("misono-full", aided=True),
+    "dead reckoning": FilterSetting("", aided=False),
+    "misono": FilterSetting("misono", aided=False),
+    "misono-full": FilterSetting("misono-full", aided=False),
+    "misono, aided": FilterSetting("misono", aided=True),
+    "misono-full, aided": FilterSetting("misono-full", aided=True),
 }
 """misono is what the paper prints: measurements one after the other, landmarks by eq. 17, no gate,
 and no position, as dead reckoning has none. aided: ours, with labels and GPS at every goal."""
@@ -63,7 +63,7 @@ _BESIDE = ("misono-full", "misono-full, aided", "misono, aided")
 
 
 @dataclass(frozen=True)
-class Estimated:
+class WaypointDrive:
     """One drive along the waypoints, steered by the truth.
 
     true: (N, 3). estimates: (N, 3) each.
@@ -94,11 +94,11 @@ class Journeys:
         return np.array([np.inf if p is None else np.hypot(*p[-1, :2]) for p in self.each[name]])
 
 
-def estimated(seed: int) -> Estimated:
+def estimated(seed: int) -> WaypointDrive:
     """One drive that the truth steers, and what is estimated of it."""
     log = simulate(np.random.default_rng(seed), WaypointRun())
     found = {name: _estimate(log, *given) for name, given in ESTIMATORS.items()}
-    return Estimated(truth_in_order(log)[0].pose, found)
+    return WaypointDrive(truth_in_order(log)[0].pose, found)
 
 
 def _estimate(log: Log, filter_name: str, aided: bool) -> Array:
@@ -121,7 +121,7 @@ class FilterNavigator:
     reckoning.
     """
 
-    def __init__(self, given: Given) -> None:
+    def __init__(self, given: FilterSetting) -> None:
         """The filter as published has no gate."""
         self.given, complete = given, given.filter == "misono-full"
         self.ekf = DirectionCosineEkf(
@@ -165,7 +165,7 @@ def navigated(seed: int, name: str) -> Array | None:
     return truth_in_order(log)[0].pose
 
 
-def drives(sources: Sources) -> Drives[Estimated]:
+def drives(sources: Sources) -> Drives[WaypointDrive]:
     """Seeds from 0."""
     name = f"waypoint-run, {sources.drives} drives from seed 0"
     return Drives(name, tuple(estimated(seed) for seed in range(sources.drives)))
@@ -179,7 +179,7 @@ def journeys(sources: Sources) -> Journeys:
     )
 
 
-def _claims_5(found: Drives[Estimated]) -> Claims:
+def _claims_5(found: Drives[WaypointDrive]) -> Claims:
     def median(name: str) -> float:
         return float(np.median([one.rms_m(name) for one in found.each]))
 
@@ -211,7 +211,7 @@ def _claims_6(found: Journeys) -> Claims:
     yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True)
 
 
-def _draw_5(canvas: Canvas, found: Drives[Estimated]) -> None:
+def _draw_5(canvas: Canvas, found: Drives[WaypointDrive]) -> None:
     one, (left, right) = found.each[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     _draw_estimates(left, one, DRAWN[1:], "(a) estimated by SLAM")
     _draw_estimates(right, one, ("dead reckoning",), "(b) by dead reckoning")
@@ -226,7 +226,7 @@ def _draw_6(canvas: Canvas, found: Journeys) -> None:
     _course(axis, "where the robot truly goes")
 
 
-def _draw_estimates(axis: Axes, one: Estimated, names: tuple[str, ...], title: str) -> None:
+def _draw_estimates(axis: Axes, one: WaypointDrive, names: tuple[str, ...], title: str) -> None:
     axis.plot(*one.true[:, :2].T, color=TRUE_PATH_COLOUR, linewidth=3.0, label="true path")
     for name in names:
         draw_trajectory(axis, one.estimates[name], _COLOURS[name], name)
@@ -240,14 +240,14 @@ def _course(axis: Axes, title: str) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="M5", title="Waypoints: estimated by SLAM and by dead reckoning",
         says="Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "
         "exactly where the robot is.",
         experiment=Experiment("Misono's Fig. 5", drives), draw=_draw_5, claims=_claims_5,
         size=(10.0, 4.8),
     ),
-    Figure(
+    DocumentFigure(
         name="M6", title="Waypoints: where the robot goes by its estimate",
         says="Steered by SLAM the robot returns to its starting point; dead reckoning would not "
         "bring it there.",

@@ -26,10 +26,10 @@ from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.logs.log import Log
 from comparisons.report.marks import SMOOTHER_COLOUR
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from research.documents.claims import Claims, at_least, at_most, elsewhere
 from research.documents.drawing import frame, plan
-from research.documents.interface import Experiment, Figure
+from research.documents.interface import DocumentFigure, Experiment
 from research.documents.measures import (
     occupied,
     rms,
@@ -174,7 +174,7 @@ def _draw_3_22(canvas: Canvas, found: CarPark) -> None:
     _frame(axis, found, "dense map (dark), laser image by SLAM and GPS (light), regions")
 
 
-def _over_image(axis: Axes, found: CarPark, samples: Samples, triangle: Array) -> None:
+def _over_image(axis: Axes, found: CarPark, samples: LayerSamples, triangle: Array) -> None:
     draw_cloud(axis, found.image)
     draw_regions(axis, triangle)
     draw_occupied(axis, samples)
@@ -192,13 +192,13 @@ def _closing(canvas: Canvas, found: CarPark, layer: str) -> None:
 _TWO = (12.0, 7.0)
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N3.22", title="Car park: final map of DenseSLAM",
         says="The dense map lies on the laser image that SLAM and GPS make together; virtual "
         "landmarks were needed to take in the walls." + OTHER_LOG,
         experiment=CAR_PARK, draw=_draw_3_22, claims=_claims_3_22, size=(7.5, 7.0),
     ),
-    Figure(
+    DocumentFigure(
         name="N4.14", title="Car park: an occupancy grid before and after a loop closes",
         says="Some 3 m of error before the closing are reduced substantially; the accuracy is that "
         "of the raw observations." + OTHER_LOG,

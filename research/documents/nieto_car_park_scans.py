@@ -29,7 +29,7 @@ from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, 
 from comparisons.settings import configure, run_options
 from research.documents.claims import Claims, at_least, at_most, elsewhere
 from research.documents.drawing import draw_lines, frame, plan
-from research.documents.interface import Experiment, Figure
+from research.documents.interface import DocumentFigure, Experiment
 from research.documents.measures import (
     median,
     off_gps,
@@ -190,7 +190,7 @@ def _templates(axis: Axes, run: CarParkRun) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N5.10", title="Car park, Scan-SLAM: path, templates and laser image",
         says="Six landmarks were incorporated. The results are not as accurate as those of feature "
         "SLAM, since segments sometimes tell too little; templates with more information would "

@@ -40,11 +40,11 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from research.documents.claims import Claims, Why, at_least, at_most, ours
 from research.documents.drawing import plan
 from research.documents.drives import true_surroundings, truth_in_order
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 from research.documents.measures import median, occupied
 
 SURFACES: tuple[Layer, ...] = ("points", "occupancy", "particles", "sog")
@@ -240,7 +240,7 @@ def _claims_4_16(maps: Maps) -> Claims:
 
 
 def _map(
-    axis: Axes, m: ClosedMap, samples: Samples, triangle: Array, landmark: Array, title: str
+    axis: Axes, m: ClosedMap, samples: LayerSamples, triangle: Array, landmark: Array, title: str
 ) -> None:
     draw_regions(axis, triangle)
     draw_surfaces(axis, m.segment)
@@ -268,13 +268,13 @@ def _draw_4_16(canvas: Canvas, maps: Maps) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N4.3", title="One occupancy grid, and DenseSLAM's",
         says="After the first loop objects are misshapen in one grid in the world's frame, while "
         "DenseSLAM's grids are corrected along with the landmarks.",
         experiment=LAYERED, draw=_draw_4_3, claims=_claims_4_3, size=(12.0, 6.0),
     ),
-    Figure(
+    DocumentFigure(
         name="N4.16", title="Three layers of one run",
         says="Different layers of the same data are kept at the same time, each in its own way "
         "(there the car park, here the simulation).",

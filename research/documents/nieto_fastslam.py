@@ -21,7 +21,7 @@ from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from research.documents.claims import Claims, at_most, within
 from research.documents.drawing import chart, plan
-from research.documents.interface import Experiment, Figure
+from research.documents.interface import DocumentFigure, Experiment
 from research.documents.measures import at_gps
 
 PARTICLES = (10, 30, 100)
@@ -56,7 +56,7 @@ class CloudRun:
 
 
 @dataclass(frozen=True)
-class Clouds:
+class ParticleClouds:
     """All numbers of particles, ascending. gps: (G, 2)."""
 
     log: str
@@ -70,14 +70,14 @@ def _off_gps_m(log: Log, time_s: Array, pose: Array) -> float:
     return np.nan if median is None else median
 
 
-def clouds(log: Log, particles: tuple[int, ...] = PARTICLES) -> Clouds:
+def clouds(log: Log, particles: tuple[int, ...] = PARTICLES) -> ParticleClouds:
     """Run FastSLAM 2.0 on the detections of a log with positions, which judge it."""
     positions = log.positions
     if positions is None:
         raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
     runs = tuple(_run(log, number) for number in particles)
     reported = f"{log.name}, FastSLAM 2.0, seed 0"
-    return Clouds(reported, runs, positions.position_m)
+    return ParticleClouds(reported, runs, positions.position_m)
 
 
 def _run(log: Log, particles: int) -> CloudRun:
@@ -96,7 +96,7 @@ def _run(log: Log, particles: int) -> CloudRun:
     )
 
 
-def _claims_2_13(found: Clouds) -> Claims:
+def _claims_2_13(found: ParticleClouds) -> Claims:
     most = found.runs[-1]
     text = (
         f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
@@ -115,7 +115,7 @@ def _claims_2_13(found: Clouds) -> Claims:
     yield at_most(text, most.left_of_the_first_tenth / most.particles, 0.1, own=True)
 
 
-def _draw_2_13(canvas: Canvas, found: Clouds) -> None:
+def _draw_2_13(canvas: Canvas, found: ParticleClouds) -> None:
     grid = canvas.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
     axis, most = canvas.add_subplot(grid[0]), found.runs[-1]
     draw_reference(axis, found.gps, ".", "GPS")
@@ -128,7 +128,7 @@ def _draw_2_13(canvas: Canvas, found: Clouds) -> None:
     _draw_depletion(canvas.add_subplot(grid[1]), found)
 
 
-def _draw_depletion(axis: Axes, found: Clouds) -> None:
+def _draw_depletion(axis: Axes, found: ParticleClouds) -> None:
     colours = (SMOOTHER_COLOUR, _STARS, EKF_COLOUR)
     for run, colour in zip(found.runs, colours, strict=False):
         share = np.linspace(0.0, 1.0, len(run.distinct))
@@ -139,7 +139,7 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
         "landmark the average of the Gaussian means. Resampling loses particles, and with them "

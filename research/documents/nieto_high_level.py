@@ -38,7 +38,7 @@ from research.documents.drawing import (
     plan,
 )
 from research.documents.drives import Drives, true_surroundings
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 from research.documents.nieto_dense import MORE, enclosed
 
 EVERY_S, LOOPS = 60.0, 2
@@ -207,7 +207,7 @@ def _draw_end(axis: Axes, d: HighLevelDrive) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N6.5", title="The first search for high level landmarks, and the map after the loop",
         says="Of three candidates that the first search finds one is accepted; once the loop is "
         "closed four more have been found and are in the state.",

@@ -47,7 +47,7 @@ from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOption
 from research.documents.claims import Claims, at_least, at_most, ours
 from research.documents.drawing import closed, draw_lines, frame, plan
 from research.documents.drives import Drives, true_surroundings
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 from research.documents.measures import mean
 
 _AREAS, _BESIDE_M = 2, 0.5
@@ -223,13 +223,13 @@ def _draw_6_20(canvas: Canvas, found: Drives[ParkedCars]) -> None:
 _PARKED = Experiment("section 6.5, cars that leave", parked_drives)
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N6.19", title="Car park, simulated: slow motion where three cars have left",
         says="Between two occupancy maps of a car park three cars leave; two areas are found, one "
         "where two cars stood side by side and one where the third stood.",
         experiment=_PARKED, draw=_draw_6_19, claims=_claims_6_19, size=(17.0, 5.8),
     ),
-    Figure(
+    DocumentFigure(
         name="N6.20", title="Car park, simulated: the landmark under a dynamic area is removed",
         says="The areas are laid over the map of high level landmarks; the landmark under one of "
         "them is removed from the state vector.",

@@ -31,7 +31,7 @@ from research.documents.decorrelation import (
 )
 from research.documents.drawing import chart, frame, plan
 from research.documents.drives import Drives, truth_in_order, watched_run
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 
 EXTRA_S = 10.0
 """How long these examples go on after the loop."""
@@ -40,7 +40,7 @@ _AWAY_S = 30.0
 
 
 @dataclass(frozen=True)
-class Moment:
+class ScanInstant:
     """The filter after a scan. landmark, true: (L, 2). covariance: (3 + 2 L, 3 + 2 L)."""
 
     time_s: float
@@ -49,7 +49,7 @@ class Moment:
     covariance: Array
 
     @classmethod
-    def of(cls, time_s: float, ekf: Ekf, true: Array) -> Moment:
+    def of(cls, time_s: float, ekf: Ekf, true: Array) -> ScanInstant:
         """true: (K, 2) of all landmarks, in the filter's order, K at least its number."""
         place = ekf.state.landmarks.copy()
         return cls(time_s, place, true[: len(place)], ekf.state.covariance.copy())
@@ -309,26 +309,26 @@ def decorrelation_example(log: Log) -> DecorrelationExample:
     )
 
 
-def fused_until(log: Log, cast: Cast) -> Iterator[Moment]:
+def fused_until(log: Log, cast: Cast) -> Iterator[ScanInstant]:
     """The filter from when the point, like a dense one, has got its last look."""
     measurements, true = log.measurements, truth_in_order(log)[1]
     label = measurements.labels_in_order[cast.point]
     keep = (measurements.landmark != label) | (measurements.time_s <= cast.fused_s)
     for time_s, ekf in watched_run(replace(log, measurements=measurements.chosen(keep))):
         if time_s >= cast.fused_s:
-            yield Moment.of(time_s, ekf, true)
+            yield ScanInstant.of(time_s, ekf, true)
 
 
 EXPERIMENT = Experiment("Examples 3.1 and 3.2", examples)
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N3.5", title="Decorrelation of a point within its region",
         says="A point close to three landmarks is highly correlated with them; expressed in their "
         "frame it is almost uncorrelated with the rest of the map, and far better known.",
         experiment=EXPERIMENT, draw=draw_3_5, claims=_claims_3_5, size=(9.0, 7.5),
     ),
-    Figure(
+    DocumentFigure(
         name="N3.12", title="Change of the same point's place, in the world and in its region",
         says="Where the point would move by more than half a metre in the world, it moves by about "
         "a tenth of a metre in its region, and soon not at all: that is what a dense map neglects.",

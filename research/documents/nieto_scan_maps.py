@@ -36,7 +36,7 @@ from research.documents.drawing import (
     plan,
 )
 from research.documents.drives import Drives, true_surroundings
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 from research.documents.measures import occupied
 
 LAYERS: tuple[Layer, ...] = ("occupancy", "sog")
@@ -47,7 +47,7 @@ _MARK_M = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanMap:
+class DenseScanMap:
     """A dense map between scan landmarks, whose loop was closed. found: the landmarks.
 
     segment: (S, 4) true surfaces.
@@ -69,19 +69,19 @@ class ScanMap:
         return near_share(_marks(self.segment), point, _NEAR_M)
 
 
-def scan_maps(sources: Sources) -> Drives[ScanMap]:
+def scan_maps(sources: Sources) -> Drives[DenseScanMap]:
     """Drives from seed 0."""
     drives = min(sources.drives, _MOST_DRIVES)
     logs = [open_log("scan-slam-maps", choices=SimulationChoices(seed)) for seed in range(drives)]
     return of_logs(logs, f"scan-slam-maps, {drives} drives from seed 0")
 
 
-def of_logs(logs: list[Log], reported: str) -> Drives[ScanMap]:
+def of_logs(logs: list[Log], reported: str) -> Drives[DenseScanMap]:
     """The same of any drives with truth. Raises InputError."""
     return Drives(reported, tuple(_mapped(log) for log in logs))
 
 
-def _mapped(log: Log) -> ScanMap:
+def _mapped(log: Log) -> DenseScanMap:
     between = ScanLandmarksConfig(landmarks="scans")
     extensions = {"scan_landmarks": between, "dense_maps": DenseMapsConfig(layers=LAYERS)}
     mapping = map_log(log, MapConfig(extensions=extensions))
@@ -89,7 +89,7 @@ def _mapped(log: Log) -> ScanMap:
     if source is None or before is None:
         raise InputError(f"{log.name}: no loop was closed")
     segment = true_surroundings(log)[1]
-    return ScanMap(mapping=mapping, found=source.found, before=before, segment=segment)
+    return DenseScanMap(mapping=mapping, found=source.found, before=before, segment=segment)
 
 
 def _marks(segment: Array) -> Array:
@@ -110,7 +110,7 @@ _AXIS_COLOUR = "#17a2b8"
 _BESIDE_M = 3.0
 
 
-def _claims_6_7(found: Drives[ScanMap]) -> Claims:
+def _claims_6_7(found: Drives[DenseScanMap]) -> Claims:
     each, layers = found.each, LAYERS
     after = [one.mapping.errors[name].median_m for one in each for name in layers]
     before = [
@@ -145,7 +145,7 @@ def _claims_6_7(found: Drives[ScanMap]) -> Claims:
     yield at_least(text, min(more), 2.0, why=why, own=True)
 
 
-def _draw_6_7(canvas: Canvas, found: Drives[ScanMap]) -> None:
+def _draw_6_7(canvas: Canvas, found: Drives[DenseScanMap]) -> None:
     one = found.each[0]
     axes = canvas.subplots(2, 2, sharex=True, sharey=True)
     _paths(axes[0, 0], one)
@@ -161,7 +161,7 @@ def _draw_6_7(canvas: Canvas, found: Drives[ScanMap]) -> None:
     frame(axes[0, 0], one.segment.reshape(-1, 2), _BESIDE_M)
 
 
-def _paths(axis: Axes, one: ScanMap) -> None:
+def _paths(axis: Axes, one: DenseScanMap) -> None:
     draw_surfaces(axis, one.segment)
     true, path = true_surroundings(one.mapping.log)[0].pose, one.mapping.ekf.estimate.pose[:, :2]
     axis.plot(*true[:, :2].T, "-", color=TRUE_PATH_COLOUR, label="true path")
@@ -169,7 +169,7 @@ def _paths(axis: Axes, one: ScanMap) -> None:
     plan(axis, "(a) objects alone, no point landmark", legend="best")
 
 
-def _landmarks(axis: Axes, one: ScanMap) -> None:
+def _landmarks(axis: Axes, one: DenseScanMap) -> None:
     estimate = one.mapping.ekf.estimate
     axis.plot(*one.template_point.T, ".", color=DENSE_COLOUR, markersize=2)
     for ends in axes_of(estimate):
@@ -180,7 +180,7 @@ def _landmarks(axis: Axes, one: ScanMap) -> None:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N6.7", title="DenseSLAM between the landmarks of Scan-SLAM",
         says="Without a point landmark the local regions are anchored to scan landmarks, and the "
         "dense maps between them hold much more than the templates by themselves.",

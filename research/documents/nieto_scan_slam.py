@@ -47,7 +47,7 @@ from research.documents.claims import (
 )
 from research.documents.drawing import SIGMAS, draw_lines, plan
 from research.documents.drives import Drives, true_surroundings
-from research.documents.interface import Experiment, Figure, Sources
+from research.documents.interface import DocumentFigure, Experiment, Sources
 from research.documents.measures import SHARE_WITHIN_3_SIGMA, mean, within_3_sigma
 
 MOST_DRIVES = 3
@@ -402,7 +402,7 @@ def axes_at(place: Array, length_m: float) -> Array:
 
 
 FIGURES = (
-    Figure(
+    DocumentFigure(
         name="N5.8", title="Scan-SLAM among objects, before and after the loop closes",
         says="Pieces of scans serve as landmarks of an EKF; the estimated path follows the true "
         "one, and once the loop is closed the error between true and estimated objects is smaller.",

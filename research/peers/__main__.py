@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from research.timing import Measured, MissingError, Pair, interleaved, median
+from research.timing import MissingError, PairTimes, TimedPair, interleaved, median
 
 SOURCES = {
     "mrpt": "research.peers.mrpt",
@@ -30,7 +30,7 @@ SOURCES = {
 """Modules with `rows(quick=...)`, which returns pairs or raises MissingError."""
 
 
-def pairs_of(name: str, *, quick: bool) -> Sequence[Pair]:
+def pairs_of(name: str, *, quick: bool) -> Sequence[TimedPair]:
     """Return the pairs of a source. Raises MissingError for a peer or a module."""
     module = SOURCES[name]
     try:
@@ -39,11 +39,11 @@ def pairs_of(name: str, *, quick: bool) -> Sequence[Pair]:
         if error.name is None or not error.name.startswith("research"):
             raise MissingError(f"{error.name} not installed: make peers") from None
         raise MissingError(f"no module {module}") from None
-    pairs: Sequence[Pair] = found.rows(quick=quick)
+    pairs: Sequence[TimedPair] = found.rows(quick=quick)
     return pairs
 
 
-def line(pair: Pair, measured: Measured) -> str:
+def line(pair: TimedPair, measured: PairTimes) -> str:
     """Return a row of the table."""
     count, unit = pair.parts
     mine, other = median(measured.ours), median(measured.theirs)

@@ -27,7 +27,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import victoria_park
 from ekf_reference.core.trace import Trace
-from research.timing import ROOT, MissingError, Pair, here
+from research.timing import ROOT, MissingError, TimedPair, here
 
 DATA = ROOT.parent / "shared" / "data" / "victoria_park"
 SQUARE_S, STRETCH_S, QUICK_S = 60.0, 240.0, 20.0
@@ -222,7 +222,7 @@ def compressed(log: Log, timeline: Timeline) -> tuple[Array, int]:
     return poses, ekf.state.landmark_count
 
 
-def rows(*, quick: bool) -> list[Pair]:
+def rows(*, quick: bool) -> list[TimedPair]:
     """Return the pairs. Raises MissingError without the public log."""
     if not victoria_park.recognises(DATA):
         raise MissingError(
@@ -239,7 +239,7 @@ def rows(*, quick: bool) -> list[Pair]:
 
 def _pair(
     name: str, log: Log, *, whole: bool, goal: float | None, repeat: int | None = None
-) -> Pair:
+) -> TimedPair:
     timeline = build_timeline(log)
     found: dict[str, tuple[Array, int]] = {}
 
@@ -257,7 +257,7 @@ def _pair(
 
     length = float(timeline.epoch_time_s[-1] - timeline.epoch_time_s[0])
     measurements = len(timeline.measurement_epoch)
-    return Pair(
+    return TimedPair(
         name=f"{name}: compressed EKF",
         work=f"{measurements} detections in {length:.0f} s of Victoria Park",
         ours=here(side("ours", lambda: compressed(log, timeline))),

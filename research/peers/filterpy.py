@@ -9,13 +9,13 @@ import numpy as np
 
 from comparisons.arrays import Array
 from ekf_reference.core.state import KalmanState
-from research.timing import MissingError, Pair, here
+from research.timing import MissingError, TimedPair, here
 
 STEPS, QUICK_STEPS = 20_000, 200
 EQUAL = 1e-9
 
 
-def rows(*, quick: bool) -> list[Pair]:
+def rows(*, quick: bool) -> list[TimedPair]:
     """Return the pair. Raises MissingError without filterpy."""
     try:
         from filterpy.kalman import KalmanFilter
@@ -52,7 +52,7 @@ def rows(*, quick: bool) -> list[Pair]:
         return [f"means and covariances differ by {largest:.1g} at most"]
 
     return [
-        Pair(
+        TimedPair(
             name="filterpy: our state",
             work=f"{steps} steps of a linear filter of 3 entries, 2 measured",
             ours=here(ours),

@@ -33,13 +33,13 @@ from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import Scan, ScanSensor
 from ekf_reference.dense.view import FilterView
 from research.timing import (
     MissingError,
-    Pair,
     Side,
     Spent,
+    TimedPair,
     here,
     median,
     run,
@@ -58,7 +58,7 @@ WITHIN = 5
 BATCH = 250
 """Scans of ours that are kept in memory at a time."""
 CELL_M, MOST_M = 0.05, 15.0
-SENSOR = Sensor(0.02, math.radians(0.1), math.radians(0.5), math.radians(5.0))
+SENSOR = ScanSensor(0.02, math.radians(0.1), math.radians(0.5), math.radians(5.0))
 """Of the project's reproductions with a Sick."""
 BEARING = np.radians(0.5 * np.arange(361) - 90.0)
 AXIS_RAD = math.radians(8.5)
@@ -209,7 +209,7 @@ def _theirs(test: str) -> Side:
     return side
 
 
-def rows(*, quick: bool) -> list[Pair]:
+def rows(*, quick: bool) -> list[TimedPair]:
     """Return the pairs; `quick` takes fewer of ours. Raises MissingError."""
     if shutil.which(PROGRAM) is None:
         raise MissingError(INSTALL)
@@ -220,7 +220,7 @@ def rows(*, quick: bool) -> list[Pair]:
         ("with all around", ours.all_around, None),
     )
     return [
-        Pair(
+        TimedPair(
             name=f"MRPT grid, {name}: {kind}",
             work="361 beams into cells of 5 cm",
             ours=side,

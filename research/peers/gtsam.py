@@ -19,10 +19,10 @@ from graphslam.initialisation import track
 from graphslam.optimisers import optimise, polish
 from graphslam.problem import SlamProblem
 from graphslam.search import relaxed_values
-from research.timing import Pair, here
+from research.timing import TimedPair, here
 
 
-def rows(*, quick: bool) -> list[Pair]:
+def rows(*, quick: bool) -> list[TimedPair]:
     """Return the pairs; quick: of a small log."""
     result = solve(open_log("simulated-loop" if quick else "victoria-park")).result
     problem = result.problem
@@ -59,7 +59,7 @@ def rows(*, quick: bool) -> list[Pair]:
 
     size = f"{problem.pose_count} poses, {len(problem.z)} measurements"
     return [
-        Pair(
+        TimedPair(
             name="gtsam: our smoother from the same start",
             work=f"{size}: graph, optimum, covariance of each pose, last pose and map jointly",
             ours=here(ours),
@@ -67,7 +67,7 @@ def rows(*, quick: bool) -> list[Pair]:
             goal=1.15,
             notes=errors("ours", "gtsam"),
         ),
-        Pair(
+        TimedPair(
             name="gtsam's iSAM2: our way to the optimum",
             work=f"{size}: graph and solution from odometry and measurements alone",
             ours=here(from_nothing),

@@ -33,7 +33,7 @@ from comparisons.config import EkfConfig
 from comparisons.logs.readers import rawlog
 from comparisons.logs.readers import rawlog_stream as stream
 from ekf_reference.core.trace import Trace
-from research.timing import MissingError, Pair, Ran, Side, Spent, median, run, scratch
+from research.timing import MissingError, Ran, Side, Spent, TimedPair, median, run, scratch
 
 LOG = Path("/usr/share/mrpt/datasets/kf-slam_demo.rawlog")
 INI = Path("/usr/share/mrpt/config_files/kf-slam/EKF-SLAM_test_2d.ini")
@@ -44,7 +44,7 @@ POSE = re.compile(r"Mean pose: \(([-\d.]+),([-\d.]+),([-\d.]+)deg\)")
 COUNT = re.compile(r"# of landmarks in the map: (\d+)")
 
 
-def rows(*, quick: bool) -> list[Pair]:
+def rows(*, quick: bool) -> list[TimedPair]:
     """Return the pairs, the same for `quick`. Raises MissingError."""
     del quick
     if shutil.which("kf-slam") is None or not (LOG.is_file() and INI.is_file()):
@@ -53,7 +53,7 @@ def rows(*, quick: bool) -> list[Pair]:
     unnamed, first = _write_variants(work)
     steps = len(rawlog.read(LOG).odometry.time_s)
     pairs = [
-        Pair(
+        TimedPair(
             name=f"kf-slam, {labels}: {kind} EKF",
             work=f"{steps} steps, 70 landmarks, {labels}",
             ours=_ours_per_step(log, kind),
@@ -89,14 +89,14 @@ def _write_variants(folder: Path) -> tuple[Path, Path]:
     """Write the log without the landmarks' names, and its first step alone."""
     data = bytearray(gzip.decompress(LOG.read_bytes()))
     items = list(stream.records(LOG))
-    for frame in (item for item in items if isinstance(item, stream.Frame)):
-        for seen in (o for o in frame.observations if isinstance(o, stream.Seen)):
+    for frame in (item for item in items if isinstance(item, stream.RawlogFrame)):
+        for seen in (o for o in frame.observations if isinstance(o, stream.RawlogRangeBearing)):
             at = data.index(seen.polar[0].astype("<f4").tobytes(), seen.at)
             for row in range(len(seen.polar)):
                 behind = at + 16 * row + 12
                 assert int.from_bytes(data[behind : behind + 4], "little") == seen.landmark[row]
                 data[behind : behind + 4] = b"\xff\xff\xff\xff"  # -1: none
-    frames = [item for item in items if isinstance(item, stream.Frame)]
+    frames = [item for item in items if isinstance(item, stream.RawlogFrame)]
     third = bytes(data).rindex(b"\x88", 0, items[3].at) + 1
     assert frames[1].at < third
     unnamed, first = folder / "unnamed.rawlog", folder / "first.rawlog"

@@ -31,7 +31,7 @@ from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.estimates.trajectory_files import read_trajectory_file
 from comparisons.logs.log import LandmarkMeasurements, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
-from research.timing import MissingError, Pair, Spent, here, run
+from research.timing import MissingError, Spent, TimedPair, here, run
 
 POSES = 60_000
 INSTALL = "evo not installed: make peers"
@@ -125,7 +125,7 @@ def evo_in_process(folder: Path) -> Callable[[], float]:
     return call
 
 
-def rows(*, quick: bool) -> list[Pair]:
+def rows(*, quick: bool) -> list[TimedPair]:
     """Return the pairs; `quick` has few poses. Raises MissingError."""
     program, count = evo_program(), 600 if quick else POSES
     folder = Path(tempfile.mkdtemp(prefix="peer-evo-"))
@@ -150,7 +150,7 @@ def rows(*, quick: bool) -> list[Pair]:
 
     evo()  # the first run writes its settings
     words = (sys.executable, "-m", "research.peers.trajectory", folder)
-    whole = Pair(
+    whole = TimedPair(
         name="evo_ape -a, whole program",
         work=f"{count:,} poses; ours with relative errors and NEES",
         ours=lambda: run(words).spent,

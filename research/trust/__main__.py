@@ -24,10 +24,10 @@ from research.trust import (
     optimum,
     sound,
 )
-from research.trust.row import Row, print_table
+from research.trust.row import PromiseRow, print_table
 
 
-def rows(quick: bool) -> Iterator[Row]:
+def rows(quick: bool) -> Iterator[PromiseRow]:
     """Of every part, in the order of docs/verdicts.md."""
     for part in (sound, damaged, optimum, association, check):
         yield from part.rows(quick)

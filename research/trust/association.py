@@ -32,7 +32,7 @@ from comparisons.settings import run_config
 from graphslam.marginals import SingularProblemError
 from research.script import options, present
 from research.trust.association_logs import piece, simulated_sensor
-from research.trust.row import Row, print_table
+from research.trust.row import PromiseRow, print_table
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 _FIRST_TEST_SEED = 1000
@@ -40,7 +40,7 @@ _FEWEST_MEASUREMENTS = 40
 
 
 @dataclass(frozen=True)
-class Trial:
+class AssociationTrial:
     """One own association. variants: what checking it found."""
 
     name: str
@@ -55,7 +55,7 @@ class Trial:
         return self.own_m > 2.0 * self.labels_m
 
 
-def tried(log: Log, robust: str = "none") -> Trial | None:
+def tried(log: Log, robust: str = "none") -> AssociationTrial | None:
     """Return the own association's trial, None where nothing can be associated.
 
     robust: of the smoother with the labels, some of which may be misread.
@@ -69,7 +69,7 @@ def tried(log: Log, robust: str = "none") -> Trial | None:
         return None
     checked = present(own.association_check)
     own_m, labels_m = (present(present(one.accuracy).ate_m) for one in (own, known))
-    return Trial(log.name, own_m, labels_m, checked.verified, checked)
+    return AssociationTrial(log.name, own_m, labels_m, checked.verified, checked)
 
 
 def mrclam_pieces(data: Path, quick: bool) -> Iterator[Log]:
@@ -83,12 +83,12 @@ def mrclam_pieces(data: Path, quick: bool) -> Iterator[Log]:
                     yield piece(log, begin, begin + length, int(begin) + robot, noise)
 
 
-def association_row(name: str, trials: Sequence[Trial]) -> Row:
+def association_row(name: str, trials: Sequence[AssociationTrial]) -> PromiseRow:
     """How often a wrong association was called verified, and a right one not."""
     wrong, right = ([one for one in trials if one.wrong == which] for which in (True, False))
     missed = sum(one.verified for one in wrong)
     refused = sum(not one.verified for one in right)
-    return Row(
+    return PromiseRow(
         f"A wrong own association is not verified: {name}",
         "at most 10 % of the wrong ones verified, at most 20 % of the right ones refused",
         f"{missed} of {len(wrong)} wrong ones verified, {refused} of {len(right)} right ones "
@@ -129,14 +129,14 @@ def _error(found: Comparison) -> float:
     return max(accuracy.ate_m or 0.0, accuracy.landmark_rmse_m or 0.0)
 
 
-def shared_mistake_rows(data: Path, quick: bool) -> Iterator[Row]:
+def shared_mistake_rows(data: Path, quick: bool) -> Iterator[PromiseRow]:
     """Whether mistakes that both estimators share are named, and nothing else is."""
     names = ("jcbb",) if quick else ("nn", "jcbb", "consensus")
     logs = [log for log in mrclam_pieces(data, quick) if not log.name.endswith("-1")]
     runs = [one for log in logs for one in shared(log, names)]
     agreeing = [one for one in runs if one.headline.startswith("agree")]
     bare = [one for one in agreeing if one.wrong and one.headline == "agree"]
-    yield Row(
+    yield PromiseRow(
         "Two that share a wrong association do not read a bare agree (MR.CLAM pieces, "
         f"{', '.join(names)})",
         "none",
@@ -146,7 +146,7 @@ def shared_mistake_rows(data: Path, quick: bool) -> Iterator[Row]:
     )
     false = [one for one in runs if not one.wrong and TRUTH_GAP in one.headline]
     right = [one for one in runs if not one.wrong]
-    yield Row(
+    yield PromiseRow(
         "A run that is as good as with labels has no truth gap (the same)",
         "at most 10 %",
         f"{len(false)} of {len(right)}",
@@ -158,7 +158,7 @@ def shared_mistake_rows(data: Path, quick: bool) -> Iterator[Row]:
         for seed in seeds
     ]
     gaps = sum(TRUTH_GAP in one.verdict.qualifiers for one in sound)
-    yield Row(
+    yield PromiseRow(
         "A sound simulated run has no truth gap",
         "at most 1 %",
         f"{gaps} of {len(sound)}",
@@ -166,7 +166,7 @@ def shared_mistake_rows(data: Path, quick: bool) -> Iterator[Row]:
     )
 
 
-def unchecked_row() -> Row:
+def unchecked_row() -> PromiseRow:
     """Whether a run without truth and labels is checked by the own association, or says so."""
     log = simulate(np.random.default_rng(0), Drive())
     seen = replace(log.measurements, landmark=np.full(len(log.measurements.time_s), NO_LANDMARK))
@@ -174,7 +174,7 @@ def unchecked_row() -> Row:
     asked = compare(blind, run_config(association="nn"))
     declined = compare(blind, run_config(association="nn", smoother_association="ekf"))
     holds = "own_association" in asked.findings and UNCHECKED in declined.verdict.qualifiers
-    return Row(
+    return PromiseRow(
         "Without truth and labels the own association is asked, or the verdict says unchecked",
         "both",
         f"asked: {asked.verdict.headline}; declined: {declined.verdict.headline}",
@@ -182,12 +182,12 @@ def unchecked_row() -> Row:
     )
 
 
-def car_park_row(data: Path) -> Row:
+def car_park_row(data: Path) -> PromiseRow:
     """The car park has no labels; its beacons' places say whether the association is right."""
     found = solve(open_log(str(data / "acfr_car_park")), SolveConfig(association="own"))
     accuracy, checked = present(found.accuracy), present(found.association_check)
     against = ", ".join(f"{one.name} {one.apart_sigma:.1f} sigma" for one in checked.against)
-    return Row(
+    return PromiseRow(
         "The car park's own association is verified",
         "verified, for it is right",
         f"{'verified' if checked.verified else f'unverified ({against})'}; "
@@ -197,12 +197,12 @@ def car_park_row(data: Path) -> Row:
     )
 
 
-def simulated_trials(seeds: Iterable[int]) -> list[Trial]:
+def simulated_trials(seeds: Iterable[int]) -> list[AssociationTrial]:
     """Trials of simulated sensors."""
     return [one for seed in seeds if (one := tried(simulated_sensor(seed))) is not None]
 
 
-def rows(quick: bool = False, data: Path = DATA) -> list[Row]:
+def rows(quick: bool = False, data: Path = DATA) -> list[PromiseRow]:
     """Return the rows of points 2 and 3 of the table of trust."""
     seeds = range(_FIRST_TEST_SEED, _FIRST_TEST_SEED + (4 if quick else 120))
     found = [association_row("simulated sensors", simulated_trials(seeds))]
@@ -215,7 +215,7 @@ def rows(quick: bool = False, data: Path = DATA) -> list[Row]:
     return [*found, unchecked_row()]
 
 
-def choose(trials: Sequence[Trial]) -> str:
+def choose(trials: Sequence[AssociationTrial]) -> str:
     """Choose distance and number of variants by five-fold cross-validation.
 
     A wrong association that is verified counts as ten right ones refused.
@@ -235,7 +235,7 @@ def choose(trials: Sequence[Trial]) -> str:
     )
 
 
-def _refused(one: Trial, apart: float, several: int) -> bool:
+def _refused(one: AssociationTrial, apart: float, several: int) -> bool:
     far = [v for v in one.variants.variants if not v.apart_sigma < apart]
     return len(far) >= several or any(v.excess <= 0.0 for v in far)
 

@@ -17,7 +17,7 @@ _STEP_S = 0.25
 _STEPS = 480
 
 
-class Sensor(NamedTuple):
+class RandomVehicle(NamedTuple):
     """A vehicle and its sensor, drawn at random.
 
     side_m: of the square that it drives in. drive: `waypoints`, `rounds` or `aisles`. spacing_m:
@@ -39,7 +39,7 @@ class Sensor(NamedTuple):
     excess: float
 
 
-def draw_sensor(rng: np.random.Generator) -> Sensor:
+def draw_sensor(rng: np.random.Generator) -> RandomVehicle:
     """Draw sizes, densities and noise, each over a wide range."""
 
     def spread(low: float, high: float) -> float:
@@ -48,7 +48,7 @@ def draw_sensor(rng: np.random.Generator) -> Sensor:
     side = spread(6.0, 60.0)
     speed = side * rng.uniform(6.0, 16.0) / (_STEPS * _STEP_S)
     reach = side * rng.uniform(0.25, 0.6)
-    return Sensor(
+    return RandomVehicle(
         side_m=side,
         speed_mps=speed,
         drive=str(rng.choice(["waypoints", "rounds", "aisles"])),
@@ -94,7 +94,7 @@ def simulated_sensor(seed: int) -> Log:
     )
 
 
-def _landmarks(rng: np.random.Generator, s: Sensor) -> Array:
+def _landmarks(rng: np.random.Generator, s: RandomVehicle) -> Array:
     """(L, 2), none nearer to another than the spacing."""
     seen_m2 = 0.5 * s.view_rad * s.reach_m**2
     count = int(np.clip(s.visible * s.side_m**2 / seen_m2, 4, 90))
@@ -108,7 +108,7 @@ def _landmarks(rng: np.random.Generator, s: Sensor) -> Array:
     return found
 
 
-def _driven(rng: np.random.Generator, s: Sensor) -> tuple[Array, Array]:
+def _driven(rng: np.random.Generator, s: RandomVehicle) -> tuple[Array, Array]:
     """True poses (N + 1, 3) and controls (N, 2) of a vehicle that heads for goal after goal."""
     goals = _goals(rng, s)
     pose = np.empty((_STEPS + 1, 3))
@@ -131,7 +131,7 @@ def _driven(rng: np.random.Generator, s: Sensor) -> tuple[Array, Array]:
     return pose, control
 
 
-def _goals(rng: np.random.Generator, s: Sensor) -> Array:
+def _goals(rng: np.random.Generator, s: RandomVehicle) -> Array:
     """(G, 2), of which the first is the start."""
     if s.drive == "rounds":
         turn = 2.0 * np.pi * np.arange(12) / 12
@@ -144,7 +144,7 @@ def _goals(rng: np.random.Generator, s: Sensor) -> Array:
 
 
 def _measurements(
-    rng: np.random.Generator, s: Sensor, landmark: Array, time: Array, pose: Array
+    rng: np.random.Generator, s: RandomVehicle, landmark: Array, time: Array, pose: Array
 ) -> LandmarkMeasurements:
     offset = landmark - pose[:, None, :2]
     distance = np.linalg.norm(offset, axis=2)

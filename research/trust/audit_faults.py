@@ -18,10 +18,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from comparisons.audit.algebra import Finding
+from comparisons.audit.algebra import AuditFinding
 from comparisons.audit.audit import audit
 from comparisons.trace.events import Snapshot
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from examples.audit.faults import Fault, Planted
 from research.script import options, print_head, print_row
 from research.trust.defects import share
@@ -30,21 +30,21 @@ FILTERS = ("filterpy_ekf", "navlie_se3", "gtsam_filters", "msckf")
 FIRST_SOUND = 1000
 
 
-class Judged(NamedTuple):
+class AuditOutcome(NamedTuple):
     """What the audit made of a planted fault: whether that is right, and its first finding."""
 
     found: bool
     event: bool
     blocks: bool
-    first: Finding | None
+    first: AuditFinding | None
 
 
-def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
+def judge(path: Path, planted: Planted, fault: Fault) -> AuditOutcome:
     """Audit a trace and compare the first fault with the planted one."""
     result = audit(path)
     faults = [finding for finding in result.findings if finding.fault]
     if not faults:
-        return Judged(found=False, event=False, blocks=False, first=None)
+        return AuditOutcome(found=False, event=False, blocks=False, first=None)
     first = faults[0]
     event = first.event in range(planted.event, _next_snapshot(path, planted.event))
     blocks = _same_blocks(first, planted)
@@ -52,14 +52,14 @@ def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
         margin = 0.1 * result.events
         event = first.event is not None and abs(first.event - planted.event) <= margin
         blocks = first.sensor == planted.sensor
-    return Judged(found=True, event=event, blocks=blocks, first=first)
+    return AuditOutcome(found=True, event=event, blocks=blocks, first=first)
 
 
 def _next_snapshot(path: Path, event: int) -> int:
-    return next(e.number for e in Trace(path) if isinstance(e, Snapshot) and e.number > event)
+    return next(e.number for e in TraceReader(path) if isinstance(e, Snapshot) and e.number > event)
 
 
-def _same_blocks(finding: Finding, planted: Planted) -> bool:
+def _same_blocks(finding: AuditFinding, planted: Planted) -> bool:
     found, sought = set(finding.blocks), set(planted.blocks)
     return bool(found) and (found <= sought or sought <= found)
 

@@ -32,21 +32,21 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState
 from graphslam.marginals import SingularProblemError
 from research.script import options, print_head, print_row
-from research.trust.coverage import Coverage, coverage, figures_of, wrong
+from research.trust.coverage import BandCoverage, coverage, figures_of, wrong
 from research.trust.drives import extreme_log, sound_run, steering, without_noise
-from research.trust.row import Row, print_table
+from research.trust.row import PromiseRow, print_table
 
 SCALES = (0.3, 1.0)
 _EXACT = 1e-9
 
 
-def rows(quick: bool = False) -> list[Row]:
+def rows(quick: bool = False) -> list[PromiseRow]:
     """What is promised of rates and of stabilisation noise, and what was measured."""
     return [*_bands(quick), *_alarms(quick), *_without_noise(), *_rounding(quick)]
 
 
 @cache
-def tables(quick: bool) -> dict[str, list[Coverage]]:
+def tables(quick: bool) -> dict[str, list[BandCoverage]]:
     """The coverage of every band, without and with absolute positions."""
     seeds, seconds = (40, 10.0) if quick else (400, 20.0)
     return {
@@ -60,10 +60,10 @@ def tables(quick: bool) -> dict[str, list[Coverage]]:
     }
 
 
-def _bands(quick: bool) -> Iterator[Row]:
+def _bands(quick: bool) -> Iterator[PromiseRow]:
     for world, table in tables(quick).items():
         off, least = wrong(table), min(table, key=lambda one: one.p_value)
-        yield Row(
+        yield PromiseRow(
             f"the consistency check's bands cover their nominal share ({world}, "
             f"{table[0].runs} sound drives)",
             f"all {len(table)}",
@@ -73,7 +73,7 @@ def _bands(quick: bool) -> Iterator[Row]:
         )
 
 
-def _alarms(quick: bool) -> Iterator[Row]:
+def _alarms(quick: bool) -> Iterator[PromiseRow]:
     seeds, seconds = (20, 15.0) if quick else (200, 30.0)
     for first, scale in enumerate(SCALES):
         outcomes, outside, nis, overconfident = Counter[str](), 0, 0, 0
@@ -87,7 +87,7 @@ def _alarms(quick: bool) -> Iterator[Row]:
             smoothed = c.consistency.smoothed
             overconfident += smoothed is not None and len(smoothed.overconfident) > 0
         share = outside / nis
-        yield Row(
+        yield PromiseRow(
             f"a sound filter is not blamed, true and stated noise {scale:g} times the document's",
             f"disagree 0 of {seeds}, surer than the smoother 0, NIS outside its band 5 %",
             f"disagree {outcomes['disagree']}, unverified {outcomes['unverified']}, surer "
@@ -103,7 +103,7 @@ def _deviation(seeds: int) -> float:
     return float(np.sqrt(0.05 * 0.95 / (2.0 * seeds)))
 
 
-def _without_noise() -> Iterator[Row]:
+def _without_noise() -> Iterator[PromiseRow]:
     log = without_noise(simulate(np.random.default_rng(1), Drive(loop_s=25.0)))
     filters: tuple[Filter, ...] = ("full", "compressed", "misono-full")
     for name in filters:
@@ -113,14 +113,14 @@ def _without_noise() -> Iterator[Row]:
             for one in (c.agreement.algebra, c.agreement.model)
             for part in (one.sigma, one.covariance)
         )
-        yield Row(
+        yield PromiseRow(
             f"no stabilisation noise: {name} EKF against the frozen smoothers",
             f"agree, gaps below {_EXACT:g}",
             f"{c.verdict.outcome}, {gap:.1g}",
             c.verdict.outcome == "agree" and gap < _EXACT,
         )
     verified = solve(log, SolveConfig()).result.optimality.verified
-    yield Row(
+    yield PromiseRow(
         "no stabilisation noise: the smoother alone",
         "verified",
         "verified" if verified else "unverified",
@@ -129,7 +129,7 @@ def _without_noise() -> Iterator[Row]:
     yield _refused(log)
 
 
-def _refused(log: Log) -> Row:
+def _refused(log: Log) -> PromiseRow:
     """A stop leaves two directions without noise."""
     still = (log.odometry.time_s >= 4.0) & (log.odometry.time_s < 6.0)
     speed, angle = (np.where(still, 0.0, control) for control in steering(log).controls)
@@ -140,7 +140,7 @@ def _refused(log: Log) -> Row:
         said = str(error)
     else:
         said = "accepted"
-    return Row(
+    return PromiseRow(
         "no stabilisation noise and a stop: refused, with what to add",
         "one line with both rates",
         said.rpartition("; ")[2],
@@ -162,7 +162,7 @@ class _Extreme(NamedTuple):
     found: bool | None = None
 
 
-def _rounding(quick: bool) -> Iterator[Row]:
+def _rounding(quick: bool) -> Iterator[PromiseRow]:
     """Extreme logs: no sound filter is accused, and ten times what rounding explains is found."""
     sound, most = (6, 3) if quick else (30, 20)
     planted, every = 0, list[_Extreme]()
@@ -173,13 +173,13 @@ def _rounding(quick: bool) -> Iterator[Row]:
     said = ", ".join(f"{n} {one}" for one, n in sorted(outcomes.items()))
     accused = [one.name for one in every if one.accused]
     missed = [f"{one.name}, {one.share:.1g}" for one in every if one.found is False]
-    yield Row(
+    yield PromiseRow(
         "extreme logs: a sound filter is not accused of what rounding does",
         f"none of {sound}",
         f"{'; '.join(accused) or 'none'} ({said})",
         not accused,
     )
-    yield Row(
+    yield PromiseRow(
         "extreme logs: a filter whose updates lose ten times what rounding explains is found",
         f"all of {planted}",
         f"all but {'; '.join(missed)}" if missed else "all",

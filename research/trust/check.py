@@ -37,7 +37,7 @@ from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
 from comparisons.faults.algebra import other_gain
 from comparisons.faults.catalogue import NAMED
-from comparisons.faults.fault import Done, after
+from comparisons.faults.fault import StateChange, after
 from comparisons.jobs.check import ExternalCheck, check_external
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -47,7 +47,7 @@ from ekf_reference.core.geometry import Index, wrap_angle
 from research.script import options, present
 from research.trust.defects import shows
 from research.trust.exports import EXPORTS, FEEDS, with_landmarks, with_poses
-from research.trust.row import Row, print_table
+from research.trust.row import PromiseRow, print_table
 
 QUICK_S = 30.0
 NO_COVARIANCES: dict[str, Any] = {"landmark_covariance": None, "joint_covariance": None}
@@ -55,7 +55,7 @@ NO_COVARIANCES: dict[str, Any] = {"landmark_covariance": None, "joint_covariance
 NO_MAP = {"landmark": None, "landmark_id": None, **NO_COVARIANCES}
 
 
-class Case(NamedTuple):
+class GradedEstimate(NamedTuple):
     """An estimate to be graded. like: it has to be found like a reference, not just not wrong."""
 
     name: str
@@ -65,10 +65,10 @@ class Case(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """A case and what became of it; `refused` where the estimate could not be read or compared."""
 
-    case: Case
+    case: GradedEstimate
     grade: str
     by: str
     reason: str
@@ -91,7 +91,7 @@ def of_run(run: FilterRun | None, time_s: Array) -> ExternalEstimate:
     )
 
 
-def by_information(done: Done, columns: Index, h: Array, nu: Array, r: Array) -> None:
+def by_information(done: StateChange, columns: Index, h: Array, nu: Array, r: Array) -> None:
     """Update by inverses, P^-1 + H^T R^-1 H."""
     whole = np.zeros((len(h), len(done.p)))
     np.add.at(whole.T, columns, h.T)
@@ -99,7 +99,7 @@ def by_information(done: Done, columns: Index, h: Array, nu: Array, r: Array) ->
     done.p[:] = 0.5 * (found + found.T)
 
 
-def rounded(done: Done, *_: Array) -> None:
+def rounded(done: StateChange, *_: Array) -> None:
     """Keep the covariance in single precision."""
     done.p[:] = done.p.astype(np.float32)
 
@@ -120,16 +120,18 @@ class Cases:
         self.timeline = build_timeline(log)
         self.right = ExternalEstimate.of(run_ekf(log, self.timeline, self.config).estimate)
 
-    def all(self) -> Iterator[Case]:
+    def all(self) -> Iterator[GradedEstimate]:
         """Faults, then sound ones."""
         right = self.right
         for name, export in EXPORTS.items():
-            yield Case(f"export: {name}", False, partial(export, right))
+            yield GradedEstimate(f"export: {name}", False, partial(export, right))
         for name, feed in FEEDS.items():
-            yield Case(f"fed: {name}", False, partial(self._fed, feed))
+            yield GradedEstimate(f"fed: {name}", False, partial(self._fed, feed))
         for defect in NAMED:
             if shows(defect) in self.shown and defect.plant is not None:
-                yield Case(f"defect: {defect.name}", False, partial(self._filtered, defect.plant))
+                yield GradedEstimate(
+                    f"defect: {defect.name}", False, partial(self._filtered, defect.plant)
+                )
         yield from self._filters()
         yield from self._exports()
         yield from self._smoothers()
@@ -155,15 +157,15 @@ class Cases:
     def _fed(self, feed: Callable[[Log], Log]) -> ExternalEstimate:
         return self._known(self.right.time_s, feed(self.log))
 
-    def _filters(self) -> Iterator[Case]:
-        yield Case("the reference EKF", True, lambda: self.right, True)
-        yield Case("compressed", True, lambda: self._filtered(filter="compressed"), True)
+    def _filters(self) -> Iterator[GradedEstimate]:
+        yield GradedEstimate("the reference EKF", True, lambda: self.right, True)
+        yield GradedEstimate("compressed", True, lambda: self._filtered(filter="compressed"), True)
         for name, plant, like in (
             ("Joseph form", other_gain(1.0), True),
             ("information form", after("update", by_information), True),
             ("computed in single precision", after("update", rounded), False),
         ):
-            yield Case(name, True, partial(self._filtered, plant), like)
+            yield GradedEstimate(name, True, partial(self._filtered, plant), like)
         for name, kind in (
             ("sequential", filter_variants.SequentialEkf),
             ("sequential, backward", filter_variants.BackwardEkf),
@@ -173,11 +175,13 @@ class Cases:
             ("unscented, wide", filter_variants.WideUnscentedEkf),
             ("landmarks initialised before the update", filter_variants.NewFirstEkf),
         ):
-            yield Case(name, True, partial(self._known, self.right.time_s, kind=kind), True)
+            yield GradedEstimate(
+                name, True, partial(self._known, self.right.time_s, kind=kind), True
+            )
         for name in ("compressed-suboptimal", "misono-full"):
-            yield Case(name, True, partial(self._filtered, filter=name))
+            yield GradedEstimate(name, True, partial(self._filtered, filter=name))
 
-    def _exports(self) -> Iterator[Case]:
+    def _exports(self) -> Iterator[GradedEstimate]:
         right = self.right
         bare = ExternalEstimate(time_s=right.time_s, pose=right.pose)
         whole = single(right)
@@ -195,27 +199,27 @@ class Cases:
             ),
             ("every fifth pose", with_poses(right, np.union1d(np.arange(0, last, 5), last))),
         ):
-            yield Case(name, True, partial(replace, given), True)
+            yield GradedEstimate(name, True, partial(replace, given), True)
         samples = np.append(np.round(self.timeline.step_begin_s, 4), right.time_s)
         sampled = partial(self._known, np.unique(samples))
-        yield Case("at every odometry sample", True, sampled, True)
-        yield Case("resampled between poses", True, lambda: resampled(right))
+        yield GradedEstimate("at every odometry sample", True, sampled, True)
+        yield GradedEstimate("resampled between poses", True, lambda: resampled(right))
         for name in FORMATS:
-            yield Case(f"a {name} file", True, partial(from_file, bare, name), True)
+            yield GradedEstimate(f"a {name} file", True, partial(from_file, bare, name), True)
         rounded_path = replace(bare, time_s=np.round(bare.time_s, 6), pose=np.round(bare.pose, 6))
-        yield Case("TUM with six decimals", True, lambda: rounded_path, True)
+        yield GradedEstimate("TUM with six decimals", True, lambda: rounded_path, True)
 
-    def _smoothers(self) -> Iterator[Case]:
+    def _smoothers(self) -> Iterator[GradedEstimate]:
         def smoothed(**settings: str) -> ExternalEstimate:
             config = SolveConfig(smoother=SmootherConfig.of(**settings))
             return ExternalEstimate.of(solve(self.log, config).estimate)
 
-        yield Case("smoother", True, smoothed, True)
+        yield GradedEstimate("smoother", True, smoothed, True)
         path = partial(replace, pose_covariance=None, information=None, **NO_MAP)
-        yield Case("smoother, its path alone", True, lambda: path(smoothed()), True)
-        yield Case("smoother, dogleg", True, lambda: smoothed(optimiser="dogleg"), True)
-        yield Case("iSAM2", True, lambda: smoothed(method="isam2"))
-        yield Case("fixed lag", True, lambda: smoothed(method="fixed-lag"))
+        yield GradedEstimate("smoother, its path alone", True, lambda: path(smoothed()), True)
+        yield GradedEstimate("smoother, dogleg", True, lambda: smoothed(optimiser="dogleg"), True)
+        yield GradedEstimate("iSAM2", True, lambda: smoothed(method="isam2"))
+        yield GradedEstimate("fixed lag", True, lambda: smoothed(method="fixed-lag"))
 
 
 def wrapped(pose: Array) -> Array:
@@ -245,15 +249,15 @@ def from_file(given: ExternalEstimate, format_name: str) -> ExternalEstimate:
         return read_external(path)
 
 
-def grade(case: Case, solution: Solution) -> Outcome:
+def grade(case: GradedEstimate, solution: Solution) -> CheckOutcome:
     """Grade an estimate."""
     try:
         found = check_external(case.make(), solution)
     except (InputError, np.linalg.LinAlgError) as error:
-        return Outcome(case, "refused", "", str(error))
+        return CheckOutcome(case, "refused", "", str(error))
     by = found.grade.by
     name = by.reference.name if by is not None and by.grade is not None else ""
-    return Outcome(case, found.grade.value or "none", name, reason(found))
+    return CheckOutcome(case, found.grade.value or "none", name, reason(found))
 
 
 def reason(found: ExternalCheck) -> str:
@@ -263,14 +267,14 @@ def reason(found: ExternalCheck) -> str:
     return next((remark for remark in found.remarks if remark.startswith("plausible")), "")
 
 
-def outcomes(log: Log, every: int = 1) -> Iterator[Outcome]:
+def outcomes(log: Log, every: int = 1) -> Iterator[CheckOutcome]:
     """Grade the estimates of a log, one in so many of them."""
     solution = solve(log)
     for case in islice(Cases(log).all(), None, None, every):
         yield grade(case, solution)
 
 
-def summary(found: list[Outcome], log: str) -> list[Row]:
+def summary(found: list[CheckOutcome], log: str) -> list[PromiseRow]:
     """What was promised, and what holds."""
     faults = [one for one in found if not one.case.sound and one.grade != "refused"]
     refused = sum(not one.case.sound for one in found) - len(faults)
@@ -282,7 +286,7 @@ def summary(found: list[Outcome], log: str) -> list[Row]:
     counts = Counter(one.grade for one in faults)
     shown = ", ".join(f"{count} {name}" for name, count in counts.items())
     return [
-        Row(
+        PromiseRow(
             f"faults without a trace are below like ({log})",
             "at least 95 %",
             f"{len(faults) - len(passed)} of {len(faults)} ({shown}"
@@ -291,13 +295,13 @@ def summary(found: list[Outcome], log: str) -> list[Row]:
             + (f"; not: {', '.join(passed)}" if passed else ""),
             len(passed) <= 0.05 * len(faults),
         ),
-        Row(
+        PromiseRow(
             f"no sound estimate is wrong ({log})",
             "none",
             f"{len(wrong)} of {len(sound)}" + (f": {', '.join(wrong)}" if wrong else ""),
             not wrong,
         ),
-        Row(
+        PromiseRow(
             f"sound estimates of the references' kinds are like one ({log})",
             "all",
             f"{len(akin) - len(unlike)} of {len(akin)}"
@@ -307,7 +311,7 @@ def summary(found: list[Outcome], log: str) -> list[Row]:
     ]
 
 
-def rows(quick: bool = False, *, table: bool = False) -> list[Row]:
+def rows(quick: bool = False, *, table: bool = False) -> list[PromiseRow]:
     """The rows of the table of trust: the simulated loop at a third of its noise; quick on 30 s."""
     loop_s = QUICK_S if quick else 85.0
     log = simulate(np.random.default_rng(0), Drive(noise_scale=0.3, loop_s=loop_s))

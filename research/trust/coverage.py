@@ -22,7 +22,7 @@ _TWO_SIGMA = float(stats.chi2.cdf(4.0, 1))
 _CHI_SQUARE = 0.998
 
 
-class Figure(NamedTuple):
+class RunFigure(NamedTuple):
     """One figure of one run. nominal: what it is on average over sound runs.
 
     value: of a band 1 where it holds and 0 where not; of an average, the average. band: which.
@@ -33,11 +33,11 @@ class Figure(NamedTuple):
     band: bool
 
 
-Figures = Mapping[str, Figure]
+Figures = Mapping[str, RunFigure]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class BandCoverage:
     """A figure over many runs. found: its average. p_value: of one so far from nominal.
 
     Two-sided: binomial for a band, by Student's t over the runs for an average.
@@ -50,14 +50,14 @@ class Coverage:
     p_value: float
 
 
-def figures_of(c: Comparison) -> dict[str, Figure]:
+def figures_of(c: Comparison) -> dict[str, RunFigure]:
     """Every band of a run's consistency check, by name, and the averages shown beside them.
 
     Epochs of one run are correlated, so of a band that holds for each the figures are whether it
     holds halfway and at the end, and the share of epochs inside, whose average over runs is
     nominal however they are correlated.
     """
-    found: dict[str, Figure] = {}
+    found: dict[str, RunFigure] = {}
     for name, truth in (("EKF", c.consistency.ekf), ("smoother", c.consistency.smoother)):
         if truth is not None:
             found |= {f"{name} NEES, {key}": figure for key, figure in _of_truth(truth)}
@@ -71,18 +71,18 @@ def figures_of(c: Comparison) -> dict[str, Figure]:
     return found | dict(_of_residuals(c.smoother.optimality.chi_square))
 
 
-def coverage(runs: Sequence[Figures]) -> list[Coverage]:
+def coverage(runs: Sequence[Figures]) -> list[BandCoverage]:
     """Compare with nominal, name by name; a figure may be missing from some runs."""
     names = list(dict.fromkeys(name for run in runs for name in run))
     return [_covered(name, [run[name] for run in runs if name in run]) for name in names]
 
 
-def wrong(table: Sequence[Coverage], level: float = LEVEL) -> list[Coverage]:
+def wrong(table: Sequence[BandCoverage], level: float = LEVEL) -> list[BandCoverage]:
     """Those farther from nominal than chance allows, with Bonferroni's limit for their number."""
     return [one for one in table if one.p_value < level / len(table)]
 
 
-def _covered(name: str, figures: Sequence[Figure]) -> Coverage:
+def _covered(name: str, figures: Sequence[RunFigure]) -> BandCoverage:
     nominal, values = figures[0].nominal, np.array([figure.value for figure in figures])
     if figures[0].band:
         p_value = float(stats.binomtest(int(values.sum()), len(values), nominal).pvalue)
@@ -90,12 +90,12 @@ def _covered(name: str, figures: Sequence[Figure]) -> Coverage:
         p_value = float(values[0] == nominal)
     else:
         p_value = float(stats.ttest_1samp(values, nominal).pvalue)
-    return Coverage(
+    return BandCoverage(
         name=name, nominal=nominal, found=float(values.mean()), runs=len(values), p_value=p_value
     )
 
 
-def _of_truth(truth: TruthConsistency) -> Iterator[tuple[str, Figure]]:
+def _of_truth(truth: TruthConsistency) -> Iterator[tuple[str, RunFigure]]:
     for name in ("pose", "position", "heading"):
         yield from _of_many(name, getattr(truth, name), epochs=True)
     for name in ("landmarks", "distance"):
@@ -108,7 +108,7 @@ def _of_truth(truth: TruthConsistency) -> Iterator[tuple[str, Figure]]:
             yield f"{name}, mean per dof", _average(1.0, value / joint.dof)
 
 
-def _of_many(name: str, n: Normalised | None, *, epochs: bool) -> Iterator[tuple[str, Figure]]:
+def _of_many(name: str, n: Normalised | None, *, epochs: bool) -> Iterator[tuple[str, RunFigure]]:
     if n is None or n.mean is None or n.inside is None:
         return
     if epochs:
@@ -118,7 +118,7 @@ def _of_many(name: str, n: Normalised | None, *, epochs: bool) -> Iterator[tuple
     yield f"{name}, mean per dof", _average(1.0, n.mean / n.dof)
 
 
-def _of_sensor(sensor: SensorInnovations) -> Iterator[tuple[str, Figure]]:
+def _of_sensor(sensor: SensorInnovations) -> Iterator[tuple[str, RunFigure]]:
     for nis in sensor.nis:
         yield f"NIS of {nis.name}", _band(nis.reading == "plausible")
         yield f"NIS of {nis.name}, mean per dof", _average(1.0, nis.mean / nis.dof)
@@ -129,7 +129,7 @@ def _of_sensor(sensor: SensorInnovations) -> Iterator[tuple[str, Figure]]:
     yield "NIS of windows, share inside", _average(0.95, inside)
 
 
-def _of_whiteness(w: Whiteness) -> Iterator[tuple[str, Figure]]:
+def _of_whiteness(w: Whiteness) -> Iterator[tuple[str, RunFigure]]:
     name = f"whiteness of {w.component} by {w.order}"
     within = np.abs(w.autocorrelation) <= np.array(w.band)
     yield f"{name}, next", _band(bool(within[0]), _TWO_SIGMA)
@@ -138,7 +138,7 @@ def _of_whiteness(w: Whiteness) -> Iterator[tuple[str, Figure]]:
     yield f"{name}, mean", _band(abs(w.mean) <= w.mean_band, _TWO_SIGMA)
 
 
-def _of_poses(f: FilterAgainstSmoother) -> Iterator[tuple[str, Figure]]:
+def _of_poses(f: FilterAgainstSmoother) -> Iterator[tuple[str, RunFigure]]:
     if f.squared_per_dof is None or f.inside is None:
         return
     clear = np.flatnonzero(f.dof > 0)
@@ -149,14 +149,14 @@ def _of_poses(f: FilterAgainstSmoother) -> Iterator[tuple[str, Figure]]:
     yield "share not overconfident", _average(1.0, 1.0 - len(f.overconfident) / len(f.time_s))
 
 
-def _of_residuals(test: ChiSquareTest) -> Iterator[tuple[str, Figure]]:
+def _of_residuals(test: ChiSquareTest) -> Iterator[tuple[str, RunFigure]]:
     yield "chi-square of the smoother", _band(test.reading == "plausible", _CHI_SQUARE)
     yield "chi-square of the smoother, mean per dof", _average(1.0, test.chi2 / test.dof)
 
 
-def _band(holds: bool, nominal: float = 0.95) -> Figure:
-    return Figure(nominal, float(holds), band=True)
+def _band(holds: bool, nominal: float = 0.95) -> RunFigure:
+    return RunFigure(nominal, float(holds), band=True)
 
 
-def _average(nominal: float, value: float) -> Figure:
-    return Figure(nominal, value, band=False)
+def _average(nominal: float, value: float) -> RunFigure:
+    return RunFigure(nominal, value, band=False)

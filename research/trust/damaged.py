@@ -30,7 +30,7 @@ from comparisons.logs.transforms.calibration import Line, controlled, delayed, d
 from graphslam.marginals import SingularProblemError
 from research.script import options
 from research.trust.odometry_drives import drive
-from research.trust.row import Row, print_table
+from research.trust.row import PromiseRow, print_table
 
 LOGS, QUICK = 200, 4
 _SAMPLES = 80
@@ -51,7 +51,7 @@ class Damage(NamedTuple):
     named: str = "^$"
 
 
-class Outcome(NamedTuple):
+class DamageOutcome(NamedTuple):
     """Statements about a damaged log, those that name what was done, and the others."""
 
     name: str
@@ -205,7 +205,7 @@ DAMAGES = (
 """Kinds of fault."""
 
 
-def outcomes(count: int, seed: int) -> Iterator[Outcome]:
+def outcomes(count: int, seed: int) -> Iterator[DamageOutcome]:
     """Of logs that two kinds of damage each were done to, drawn from a seed."""
     for number in range(count):
         rng = np.random.default_rng((seed, number))
@@ -217,10 +217,10 @@ def outcomes(count: int, seed: int) -> Iterator[Outcome]:
         yield judged(name, statements(log), [one.named for one in chosen])
 
 
-def judged(name: str, said: list[str], named: list[str]) -> Outcome:
+def judged(name: str, said: list[str], named: list[str]) -> DamageOutcome:
     """Sort statements by whether they name one of the things that were done."""
     right = [one for one in said if any(re.search(pattern, one) for pattern in named)]
-    return Outcome(name, right, [one for one in said if one not in right])
+    return DamageOutcome(name, right, [one for one in said if one not in right])
 
 
 def statements(log: Log) -> list[str]:
@@ -241,7 +241,7 @@ def statements(log: Log) -> list[str]:
 
 def rows(
     quick: bool = False, *, listed: bool = False, logs: int = LOGS, seed: int = 0
-) -> Iterator[Row]:
+) -> Iterator[PromiseRow]:
     """No statement that is not so; how often the damage is named is said."""
     found = []
     for one in outcomes(QUICK if quick else logs, seed):
@@ -250,7 +250,7 @@ def rows(
             print(f"{one.name}: right {one.right}, wrong {one.wrong}", flush=True)
     wrong, right = (sum(len(getattr(one, name)) for one in found) for name in ("wrong", "right"))
     named = sum(bool(one.right) for one in found)
-    yield Row(
+    yield PromiseRow(
         "A statement about a damaged log is what was done to it",
         "none that is not",
         f"{wrong} of {wrong + right} statements about {len(found)} logs; {named} logs with a right "

@@ -99,7 +99,7 @@ class Design:
 MRCLAM = Path(__file__).resolve().parents[3] / "shared/data/mrclam/MRCLAM_Dataset6"
 
 
-class Log(NamedTuple):
+class DesignLog(NamedTuple):
     """A log folder's content: controls u (N, 2) or displacements (N, 3) with covariances q."""
 
     meta: dict[str, Any]
@@ -112,7 +112,7 @@ class Log(NamedTuple):
     label: NDArray[np.int64]
 
 
-def read_log(folder: Path) -> Log:
+def read_log(folder: Path) -> DesignLog:
     """Read log.toml, odometry.csv and measurements.csv."""
 
     def table(name: str) -> dict[str, Array]:
@@ -130,7 +130,7 @@ def read_log(folder: Path) -> Log:
     else:
         turn = "steering_rad" if meta["odometry"]["kind"] == "steering" else "yaw_rate_radps"
         u = np.column_stack((moved["speed_mps"], moved[turn]))
-    return Log(
+    return DesignLog(
         meta=meta,
         odometry_s=moved["time_s"],
         u=u,
@@ -145,7 +145,7 @@ def read_log(folder: Path) -> Log:
 class Filter:
     """An EKF-SLAM of a design. x, p: the state; at: rows of each block; broken: a planted error."""
 
-    def __init__(self, design: Design, log: Log, broken: str = "") -> None:
+    def __init__(self, design: Design, log: DesignLog, broken: str = "") -> None:
         """Start at the log's prior."""
         self.design, self.log, self.broken = design, log, broken
         self.dtype = np.float32 if design.single else np.float64
@@ -633,7 +633,7 @@ LOGS: dict[str, Callable[[int], ProjectLog]] = {
 }
 
 
-class Result(NamedTuple):
+class DesignResult(NamedTuple):
     """What `check` says of one design on one log. code: its exit code."""
 
     form: str
@@ -692,7 +692,7 @@ def results(
     seed: int = 0,
     *,
     named: bool = False,
-) -> Iterator[Result]:
+) -> Iterator[DesignResult]:
     """Yield what is said of each form on each log, traced or not, right or broken.
 
     named: whether the names of faults are looked for where that decides nothing.
@@ -713,7 +713,7 @@ def results(
                         run.write(folder, traced=traced)
                         with nullcontext() if named or FORMS[form].setting else Quick():
                             found = outcome(log, folder, solver)
-                        yield Result(form, name, traced, error, *found)
+                        yield DesignResult(form, name, traced, error, *found)
 
 
 if __name__ == "__main__":

@@ -36,46 +36,48 @@ from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.trace.events import Event
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import Recorder
 from graphslam.smoother import SmootherOptions
 from research.script import options
 from research.trust.drives import open_case
-from research.trust.row import Row, print_table
-from research.trust.stranger_faults import FORGETFUL, HELD_OUT, HINTS, Fault
-from research.trust.strangers import Car, Ekf, Single, read_log
-from research.trust.strangers import Log as Read
+from research.trust.row import PromiseRow, print_table
+from research.trust.stranger_faults import FORGETFUL, HELD_OUT, HINTS, StrangerFault
+from research.trust.strangers import Car, Single, TextbookEkf, read_log
+from research.trust.strangers import StrangerLog as Read
 
 IN_SINGLE = "computes in single precision"
 
 
 @dataclass(frozen=True)
-class Case:
+class HintCase:
     """A log, prepared and as a stranger reads it, and a sound filter. kinds: of faults it shows."""
 
     name: str
     prepared: Prepared[SolveConfig]
     log: Read
-    sound: type[Ekf]
+    sound: type[TextbookEkf]
     kinds: tuple[str, ...]
 
 
-def case(name: str, log: Log, choices: EkfConfig, *kinds: str) -> Case:
+def case(name: str, log: Log, choices: EkfConfig, *kinds: str) -> HintCase:
     """Return a case of a log with labels."""
     prepared: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
     with tempfile.TemporaryDirectory() as folder:
         write_log_folder(log, Path(folder) / "log")
         read = read_log(Path(folder) / "log")
     steers = isinstance(log.odometry, SteeringOdometry)
-    return Case(name, prepared, read, Car if steers else Ekf, ("any", *["car"] * steers, *kinds))
+    return HintCase(
+        name, prepared, read, Car if steers else TextbookEkf, ("any", *["car"] * steers, *kinds)
+    )
 
 
-def simulated(seed: int = 4, loop_s: float = 60.0) -> Case:
+def simulated(seed: int = 4, loop_s: float = 60.0) -> HintCase:
     """Return a loop with positions; its vehicle steers."""
     return case("simulated loop", *open_case("positions", seed, loop_s), "positions")
 
 
-def recorded(folder: str) -> Case:
+def recorded(folder: str) -> HintCase:
     """Return a log of a folder, labelled as the reference filter associates."""
     log = replace(open_log(folder, None, 1, SimulationChoices()), positions=None)
     p: Prepared[SolveConfig] = prepare(log, CheckConfig(), EkfConfig())
@@ -85,7 +87,7 @@ def recorded(folder: str) -> Case:
     return case(Path(folder).name, labelled, EkfConfig(association="known"))
 
 
-def checked(kind: type[Ekf], one: Case, *, stored_single: bool = False) -> TraceCheck:
+def checked(kind: type[TextbookEkf], one: HintCase, *, stored_single: bool = False) -> TraceCheck:
     """Run a filter, hand in what it leaves, check that."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "mine"
@@ -111,7 +113,7 @@ def in_single(folder: Path) -> None:
     with np.load(folder / "covariances.npz") as archive:
         arrays = {key: a.astype(np.float32) for key, a in archive.items()}
     np.savez(folder / "covariances.npz", **arrays)
-    events = list(Trace(folder / TRACE))
+    events = list(TraceReader(folder / TRACE))
     (folder / TRACE).unlink()
     with Recorder(folder / TRACE) as record:
         for event in events:
@@ -144,7 +146,7 @@ def hint_parts(check: TraceCheck) -> list[str]:
 
 
 def judge_hints(
-    cases: Iterable[Case], faults: Sequence[Fault], *, listed: bool = False
+    cases: Iterable[HintCase], faults: Sequence[StrangerFault], *, listed: bool = False
 ) -> Counter[str]:
     """Count right, general and wrong hints, and faults that pass unseen."""
     found: Counter[str] = Counter()
@@ -173,7 +175,7 @@ class Precisions:
     total: int = 0
 
 
-def judge_precisions(cases: Iterable[Case], *, listed: bool = False) -> Precisions:
+def judge_precisions(cases: Iterable[HintCase], *, listed: bool = False) -> Precisions:
     """Count what is called by its name.
 
     stored: agrees. computed: agrees, or is named a computation in single precision. dropped: an
@@ -203,13 +205,13 @@ def judge_precisions(cases: Iterable[Case], *, listed: bool = False) -> Precisio
     return found
 
 
-def sound_hints(cases: Iterable[Case]) -> tuple[int, int]:
+def sound_hints(cases: Iterable[HintCase]) -> tuple[int, int]:
     """Count hints on sound filters, and these."""
     found = [len(hint_parts(checked(one.sound, one))) for one in cases]
     return sum(map(bool, found)), len(found)
 
 
-def rows(quick: bool = False, folder: str = "") -> list[Row]:
+def rows(quick: bool = False, folder: str = "") -> list[PromiseRow]:
     """Return the table's rows. quick: a part of the faults, one loop. folder: of a real log."""
     cases = [simulated(), *([recorded(folder)] if folder else [])]
     step = 8 if quick else 1
@@ -224,7 +226,7 @@ def rows(quick: bool = False, folder: str = "") -> list[Row]:
     ):  # fmt: skip
         total = sum(counts.values())
         table.append(
-            Row(
+            PromiseRow(
                 f"hints on {name}, with a trace",
                 f"{share:.0%} named right, none wrong",
                 ", ".join(f"{counts[how]} {how}" for how in ("right", "general", "wrong", "unseen"))
@@ -232,7 +234,7 @@ def rows(quick: bool = False, folder: str = "") -> list[Row]:
                 counts["right"] >= share * total and not counts["wrong"],
             )
         )
-    table.append(Row("no hint on sound filters", "0", f"{false} of {sound}", not false))
+    table.append(PromiseRow("no hint on sound filters", "0", f"{false} of {sound}", not false))
     n = precision.total
     for what, asked, count in (
         ("stored in single precision, sound", "no fault", precision.stored),
@@ -240,7 +242,7 @@ def rows(quick: bool = False, folder: str = "") -> list[Row]:
         ("stored in single precision, 1 % of a covariance dropped", "an algebra gap",
          precision.dropped),
     ):  # fmt: skip
-        table.append(Row(what, f"{asked} in all", f"{count} of {n}", count == n))
+        table.append(PromiseRow(what, f"{asked} in all", f"{count} of {n}", count == n))
     return table
 
 

@@ -23,7 +23,7 @@ PRIOR = np.diag((0.01, 0.01, 0.002)) ** 2
 
 
 @dataclass(frozen=True)
-class World:
+class BasinWorld:
     """What the smoother is told, and the truth: poses (K, 3), landmarks (L, 2)."""
 
     name: str
@@ -44,7 +44,7 @@ def drive(
     noise: tuple[ArrayLike, ArrayLike],
     rng: np.random.Generator,
     name: str,
-) -> World:
+) -> BasinWorld:
     """Simulate.
 
     increments: (K-1, 3) true ones. sees: (K, L) who is measured from where. noise: sigmas (3,) or
@@ -74,7 +74,7 @@ def drive(
         sigma=np.tile(sensor, (len(z), 1)),
         landmark_count=len(seen),
     )
-    return World(name, problem, poses, landmarks[seen])
+    return BasinWorld(name, problem, poses, landmarks[seen])
 
 
 def integrate(increments: Array) -> Array:
@@ -92,7 +92,7 @@ def in_reach(increments: Array, landmarks: Array, reach_m: float) -> NDArray[np.
     return near
 
 
-def sides(seed: int) -> World:
+def sides(seed: int) -> BasinWorld:
     """A nearly straight drive between landmarks that a range-only sensor sees."""
     rng = np.random.default_rng((1, seed))
     count = int(rng.integers(50, 140))
@@ -108,7 +108,7 @@ def sides(seed: int) -> World:
     return drive(increments, landmarks, sees, (step, sensor), rng, f"sides {seed}")
 
 
-def winding(seed: int) -> World:
+def winding(seed: int) -> BasinWorld:
     """Blind loops from a base and back, with a poor gyro."""
     rng = np.random.default_rng((2, seed))
     parts = []
@@ -134,7 +134,7 @@ def winding(seed: int) -> World:
     return drive(increments, landmarks, sees, (step, sensor), rng, f"winding {seed}")
 
 
-def rooms(seed: int) -> World:
+def rooms(seed: int) -> BasinWorld:
     """Symmetric rooms, each circled once and revisited at the end, joined by blind corridors."""
     rng = np.random.default_rng((3, seed))
     sensor = rng.choice((0.03, 0.1)), rng.choice((0.5, 0.8))
@@ -161,7 +161,7 @@ def rooms(seed: int) -> World:
     return drive(increments, everywhere, sees, (step, sensor), rng, f"rooms {seed}")
 
 
-def quiet(seed: int) -> World:
+def quiet(seed: int) -> BasinWorld:
     """Two rounds past landmarks with a good sensor."""
     rng = np.random.default_rng((4, seed))
     count = int(rng.integers(60, 120))
@@ -174,7 +174,7 @@ def quiet(seed: int) -> World:
     return drive(increments, landmarks, sees, noise, rng, f"quiet {seed}")
 
 
-def labels(seed: int) -> World:
+def labels(seed: int) -> BasinWorld:
     """A quiet or one-sided world in which some measurements carry another landmark's name."""
     rng = np.random.default_rng((5, seed))
     world = quiet(seed + 1000) if seed % 2 else sides(seed + 1000)
@@ -194,7 +194,7 @@ def labels(seed: int) -> World:
     )
 
 
-def kidnapped(seed: int) -> World:
+def kidnapped(seed: int) -> BasinWorld:
     """Between two poses the vehicle was carried away, and the odometry does not tell."""
     rng = np.random.default_rng((6, seed))
     world = quiet(seed + 2000) if seed % 2 else sides(seed + 2000)
@@ -206,4 +206,4 @@ def kidnapped(seed: int) -> World:
     return replace(world, name=f"kidnapped {seed}", problem=replace(problem, increment=increment))
 
 
-CLASSES: tuple[Callable[[int], World], ...] = (sides, winding, rooms, labels, kidnapped, quiet)
+CLASSES: tuple[Callable[[int], BasinWorld], ...] = (sides, winding, rooms, labels, kidnapped, quiet)

@@ -28,8 +28,8 @@ from graphslam.search import draw
 from graphslam.smoother import smooth
 from research.script import options
 from research.timing import timed
-from research.trust.many_basins import CLASSES, World
-from research.trust.row import Row, print_table
+from research.trust.many_basins import CLASSES, BasinWorld
+from research.trust.row import PromiseRow, print_table
 
 EACH = 34
 """Logs of a class; six classes make 204."""
@@ -37,10 +37,10 @@ LONG = 40
 
 
 @dataclass(frozen=True)
-class Outcome:
+class OptimumOutcome:
     """What became of one log. misfit: its chi-square at the lowest error found is too high."""
 
-    world: World
+    world: BasinWorld
     verified: bool
     misfit: bool
     error: float
@@ -68,7 +68,7 @@ def descend(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[fl
     return error, end
 
 
-def long_search(world: World, graph: gtsam.NonlinearFactorGraph, seed: int) -> float:
+def long_search(world: BasinWorld, graph: gtsam.NonlinearFactorGraph, seed: int) -> float:
     """The lowest error of the truth's minimum, of random starts and of random moves."""
     problem, rng = world.problem, np.random.default_rng(seed)
     every = np.arange(problem.landmark_count)
@@ -88,13 +88,13 @@ def long_search(world: World, graph: gtsam.NonlinearFactorGraph, seed: int) -> f
     return best
 
 
-def examine(world: World, seed: int) -> Outcome:
+def examine(world: BasinWorld, seed: int) -> OptimumOutcome:
     """Solve one log both ways."""
     graph = build_graph(world.problem)
     _, single_s = timed(lambda: descend(graph, track(world.problem, graph)[0]))
     result, whole_s = timed(smooth, world.problem, {})
     optimality = result.optimality
-    return Outcome(
+    return OptimumOutcome(
         world,
         optimality.verified,
         optimality.chi_square.reading == "too high",
@@ -105,14 +105,14 @@ def examine(world: World, seed: int) -> Outcome:
     )
 
 
-def outcomes(each: int) -> Iterator[Outcome]:
+def outcomes(each: int) -> Iterator[OptimumOutcome]:
     """Of so many logs of each class; the seeds are not those the search was built on."""
     for make in CLASSES:
         for seed in range(100, 100 + each):
             yield examine(make(seed), seed)
 
 
-def rows(quick: bool = False, each: int = EACH) -> list[Row]:
+def rows(quick: bool = False, each: int = EACH) -> list[PromiseRow]:
     """The lines for the table of trust."""
     ended = list(outcomes(2 if quick else each))
     fit = [one for one in ended if not one.misfit]
@@ -123,27 +123,27 @@ def rows(quick: bool = False, each: int = EACH) -> list[Row]:
     share = verified / max(len(fit), 1)
     misfits = [one for one in ended if one.misfit]
     return [
-        Row(
+        PromiseRow(
             f"a wrong minimum is never verified ({len(ended)} many-basin logs)",
             "0 wrong",
             f"{wrong} wrong",
             wrong == 0,
         ),
-        Row(
+        PromiseRow(
             f"a right one is, where chi-square is in its band ({len(fit)} logs)",
             "95 %",
             f"{verified} of {len(fit)} ({share:.0%}), in {np.median(times):.1f} times a tracked "
             f"solve (median; 90 % in {np.quantile(times, 0.9):.0f})",
             share >= 0.95,
         ),
-        Row(
+        PromiseRow(
             f"wrong labels and kidnapping are not verified ({len(misfits)} logs)",
             "0 verified",
             f"{sum(one.verified for one in misfits)} verified; the lowest error known was found in "
             f"{sum(one.found for one in misfits)}",
             not any(one.verified for one in misfits),
         ),
-        Row(
+        PromiseRow(
             f"quiet logs take little more ({len(quiet)} logs of 0.1 s)",
             "1.3 times",
             f"{np.median(quiet):.1f} times (median)",

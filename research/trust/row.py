@@ -8,7 +8,7 @@ from typing import NamedTuple
 from research.script import print_head, print_row
 
 
-class Row(NamedTuple):
+class PromiseRow(NamedTuple):
     """A promise of the verdict. asked and found: in words with figures. holds: found keeps it."""
 
     promise: str
@@ -17,7 +17,7 @@ class Row(NamedTuple):
     holds: bool
 
 
-def print_table(rows: Iterable[Row]) -> int:
+def print_table(rows: Iterable[PromiseRow]) -> int:
     """Print rows as a Markdown table; return 1, an exit code, where one does not hold."""
     print_head("promise", "asked", "found", "holds")
     broken = 0

@@ -29,7 +29,7 @@ from graphslam.scan import planar
 from research.script import options
 from research.trust.audit_faults import FILTERS
 from research.trust.odometry_drives import sound, travelled
-from research.trust.row import Row, print_table
+from research.trust.row import PromiseRow, print_table
 
 LOGS, EACH_FILTER, GRAPHS = 60, 8, 20
 _FIRST_SEED = 7000
@@ -107,13 +107,13 @@ def graph(seed: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def row(name: str, said: list[Said], listed: bool) -> Row:
+def row(name: str, said: list[Said], listed: bool) -> PromiseRow:
     """None accused; how many carry a note is said."""
     accused = [one for one in said if one.accused]
     noted = [one for one in said if one.beside]
     for one in said if listed else ():
         print(f"{one.name}: accused {one.accused}, beside {one.beside}")
-    return Row(
+    return PromiseRow(
         f"A sound input is not accused: {name}",
         "none",
         f"{len(accused)} of {len(said)}; {len(noted)} with a note",
@@ -121,7 +121,7 @@ def row(name: str, said: list[Said], listed: bool) -> Row:
     )
 
 
-def rows(quick: bool = False, *, listed: bool = False) -> Iterator[Row]:
+def rows(quick: bool = False, *, listed: bool = False) -> Iterator[PromiseRow]:
     """Logs, traces, graphs."""
     part = 10 if quick else 1
     yield row("logs by `run`", list(of_logs(LOGS // part)), listed)

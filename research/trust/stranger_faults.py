@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.faults.fault import derived
-from research.trust.strangers import Array, Ekf, Log, rotation
+from research.trust.strangers import Array, StrangerLog, TextbookEkf, rotation
 
-Plant = Callable[[type[Ekf]], type[Ekf]]
+Plant = Callable[[type[TextbookEkf]], type[TextbookEkf]]
 Change = Callable[..., Any]
 
 
-class Fault(NamedTuple):
+class StrangerFault(NamedTuple):
     """A fault, and how to know that a report is right; patterns are regular expressions.
 
     hint: what one part of the hint by a trace must match. also: what other parts may say, being
@@ -55,7 +55,7 @@ def scaled(name: str, factor: Any) -> Plant:
     return instead(**{name: lambda own, ekf, *args: factor * own(*args)})
 
 
-def fed(change: Callable[[Log], dict[str, Any]]) -> Plant:
+def fed(change: Callable[[StrangerLog], dict[str, Any]]) -> Plant:
     """Change the log's content before the filter has it."""
     return instead(fed=lambda own, ekf, log: replace(log, **change(log)))
 
@@ -72,7 +72,7 @@ def changed(name: str, change: Change) -> Plant:
 def rooted(k: int) -> Change:
     """Return what puts a sigma in the place of a variance on a diagonal."""
 
-    def method(own: Change, ekf: Ekf, *args: Any) -> Array:
+    def method(own: Change, ekf: TextbookEkf, *args: Any) -> Array:
         r: Array = own(*args)
         r[k, k] = np.sqrt(r[k, k])
         return r
@@ -83,7 +83,7 @@ def rooted(k: int) -> Change:
 def expecting(change: Change) -> Plant:
     """Change the expected measurement and leave H: by `own`, the filter, pose and point."""
 
-    def expected(own: Change, ekf: Ekf, pose: Array, point: Array) -> Any:
+    def expected(own: Change, ekf: TextbookEkf, pose: Array, point: Array) -> Any:
         return (change(own, ekf, pose, point), *own(pose, point)[1:])
 
     return instead(expected=expected)
@@ -92,7 +92,7 @@ def expecting(change: Change) -> Plant:
 def h_of(change: Change) -> Plant:
     """Change H: by `own`, the filter, pose and point; returns the parts (2, 3) and (2, 2)."""
 
-    def expected(own: Change, ekf: Ekf, pose: Array, point: Array) -> Any:
+    def expected(own: Change, ekf: TextbookEkf, pose: Array, point: Array) -> Any:
         return (own(pose, point)[0], *change(own, ekf, pose, point))
 
     return instead(expected=expected)
@@ -101,14 +101,16 @@ def h_of(change: Change) -> Plant:
 def entries(change: Callable[[Array, Array], Array]) -> Plant:
     """Change the entries of H (2, 5), by themselves and the way to the landmark."""
 
-    def parts(own: Change, ekf: Ekf, pose: Array, point: Array) -> tuple[Array, Array]:
+    def parts(own: Change, ekf: TextbookEkf, pose: Array, point: Array) -> tuple[Array, Array]:
         h = change(np.hstack(own(pose, point)[1:]), point - pose[:2])
         return h[:, :3], h[:, 3:]
 
     return h_of(parts)
 
 
-def bearing_of_departed(own: Change, ekf: Ekf, pose: Array, point: Array) -> tuple[Array, ...]:
+def bearing_of_departed(
+    own: Change, ekf: TextbookEkf, pose: Array, point: Array
+) -> tuple[Array, ...]:
     """Return H with its bearing row from before the prediction."""
     pairs = zip(own(pose, point)[1:], own(ekf.departed, point)[1:], strict=True)
     return tuple(np.vstack((now[0], then[1])) for now, then in pairs)
@@ -117,7 +119,7 @@ def bearing_of_departed(own: Change, ekf: Ekf, pose: Array, point: Array) -> tup
 def sensor_at(forward: float, left: float) -> Plant:
     """Expect measurements from a place beside the pose, with H."""
 
-    def expected(own: Change, ekf: Ekf, pose: Array, point: Array) -> Any:
+    def expected(own: Change, ekf: TextbookEkf, pose: Array, point: Array) -> Any:
         arm = rotation(pose[2]) @ (forward, left)
         z, hv, hl = own(pose + np.append(arm, 0.0), point)
         hv[:, 2] += hv[:, :2] @ (-arm[1], arm[0])
@@ -129,7 +131,7 @@ def sensor_at(forward: float, left: float) -> Plant:
 def extrapolated(seconds: float) -> Plant:
     """Expect measurements from where the vehicle will be."""
 
-    def ahead(own: Change, ekf: Ekf, pose: Array, point: Array) -> Any:
+    def ahead(own: Change, ekf: TextbookEkf, pose: Array, point: Array) -> Any:
         return own(pose + seconds / ekf.lasted_s * (ekf.arrived - ekf.departed), point)[0]
 
     return expecting(ahead)
@@ -138,7 +140,7 @@ def extrapolated(seconds: float) -> Plant:
 def stepping(change: Change) -> Plant:
     """Change where a step leads, but not F and B: by departing and arriving pose."""
 
-    def motion(own: Change, ekf: Ekf, pose: Array, *args: Any) -> Any:
+    def motion(own: Change, ekf: TextbookEkf, pose: Array, *args: Any) -> Any:
         arrived, f, b = own(pose, *args)
         return np.asarray(change(pose, arrived)), f, b
 
@@ -162,7 +164,7 @@ def along_arc(pose: Array, arrived: Array) -> Array:
 def f_turned(part: float) -> Plant:
     """Take F's position terms from another heading."""
 
-    def motion(own: Change, ekf: Ekf, pose: Array, *args: Any) -> Any:
+    def motion(own: Change, ekf: TextbookEkf, pose: Array, *args: Any) -> Any:
         arrived, f, b = own(pose, *args)
         f[:2, 2] = turned(part, pose, arrived)[:2, :2] @ f[:2, 2]
         return arrived, f, b
@@ -173,7 +175,7 @@ def f_turned(part: float) -> Plant:
 def spread(change: Change) -> Plant:
     """Change the control's part of Q, by the filter and dt."""
 
-    def process(own: Change, ekf: Ekf, b: Array, noise: Array, dt: float) -> Array:
+    def process(own: Change, ekf: TextbookEkf, b: Array, noise: Array, dt: float) -> Array:
         rates = dt * ekf.rates
         return np.asarray(change(ekf, own(b, noise, dt) - rates, dt) + rates)
 
@@ -183,7 +185,7 @@ def spread(change: Change) -> Plant:
 def turning_q(by: Callable[[Array, Array], float]) -> Plant:
     """Turn the control's part of Q by an angle, of departing and arriving pose."""
 
-    def change(ekf: Ekf, q: Array, dt: float) -> Array:
+    def change(ekf: TextbookEkf, q: Array, dt: float) -> Array:
         turn = np.eye(3)
         turn[:2, :2] = rotation(by(ekf.departed, ekf.arrived))
         return turn @ q @ turn.T
@@ -191,19 +193,19 @@ def turning_q(by: Callable[[Array, Array], float]) -> Plant:
     return spread(change)
 
 
-def with_speed(own: Change, ekf: Ekf, pose: Array, u: Array, dt: float) -> Any:
+def with_speed(own: Change, ekf: TextbookEkf, pose: Array, u: Array, dt: float) -> Any:
     """Let the speed's noise grow with the speed."""
     arrived, f, b = own(pose, u, dt)
     return arrived, f, b * (abs(u[0]), 1.0)
 
 
-def lagged(ekf: Ekf, number: int, lag: int) -> Array:
+def lagged(ekf: TextbookEkf, number: int, lag: int) -> Array:
     """Return speed and turn so many samples before."""
     at = number - lag
     return np.zeros(2) if at < 0 else np.asarray(ekf.log.u[min(at, len(ekf.log.u) - 1)])
 
 
-def in_centiseconds(own: Change, ekf: Ekf, number: int, dt: float, end_s: float) -> None:
+def in_centiseconds(own: Change, ekf: TextbookEkf, number: int, dt: float, end_s: float) -> None:
     """Cut the interval down."""
     own(number, max(0.01, np.floor(dt * 100) / 100), end_s)
 
@@ -211,7 +213,7 @@ def in_centiseconds(own: Change, ekf: Ekf, number: int, dt: float, end_s: float)
 def started(change: Callable[[Array], Array]) -> Plant:
     """Change the prior's pose."""
 
-    def meta(log: Log) -> dict[str, Any]:
+    def meta(log: StrangerLog) -> dict[str, Any]:
         prior = log.meta["prior"]
         return {"meta": log.meta | {"prior": prior | {"pose": change(np.array(prior["pose"]))}}}
 
@@ -221,7 +223,7 @@ def started(change: Callable[[Array], Array]) -> Plant:
 def positioned(place: Change = lambda z: z, noise: Change = lambda r: r) -> Plant:
     """Change a position and its R."""
 
-    def position(own: Change, ekf: Ekf, g: int) -> tuple[Array, Array]:
+    def position(own: Change, ekf: TextbookEkf, g: int) -> tuple[Array, Array]:
         z, r = own(g)
         return np.asarray(place(z)), np.asarray(noise(r))
 
@@ -231,19 +233,19 @@ def positioned(place: Change = lambda z: z, noise: Change = lambda r: r) -> Plan
 def placed(gx: Change = lambda gx, z: gx, gz: Change = lambda gz, z: gz) -> Plant:
     """Change G_x and G_z, by themselves and z."""
 
-    def place(own: Change, ekf: Ekf, pose: Array, z: Array) -> Any:
+    def place(own: Change, ekf: TextbookEkf, pose: Array, z: Array) -> Any:
         point, x, by_z = own(pose, z)
         return point, gx(x, z), gz(by_z, z)
 
     return instead(place=place)
 
 
-def from_departed(own: Change, ekf: Ekf, pose: Array, z: Array) -> Any:
+def from_departed(own: Change, ekf: TextbookEkf, pose: Array, z: Array) -> Any:
     """Put a new landmark where the departing pose sees it."""
     return (own(ekf.departed, z)[0], *own(pose, z)[1:])
 
 
-def forgets(own: Change, ekf: Ekf, *args: Any) -> None:
+def forgets(own: Change, ekf: TextbookEkf, *args: Any) -> None:
     """Lose a hundredth of the vehicle's covariance with the map."""
     own(*args)
     ekf.p[:3, 3:] *= 0.99
@@ -255,30 +257,30 @@ FORGETFUL = instead(carry=forgets, initialise=forgets)
 Q_ALSO = r"^Q |^the control part of Q is|noise of the"  # Q follows the control that was used
 
 
-def measured(name: str, hint: str, change: Change) -> Fault:
+def measured(name: str, hint: str, change: Change) -> StrangerFault:
     """Return a fault of what is taken for the measurement, new landmarks included."""
-    return Fault(name, changed("seen", change), hint, "landmarks")
+    return StrangerFault(name, changed("seen", change), hint, "landmarks")
 
 
-def driven(name: str, hint: str, change: Change) -> Fault:
+def driven(name: str, hint: str, change: Change) -> StrangerFault:
     """Return a fault of the control."""
-    return Fault(name, changed("driven", change), hint, Q_ALSO)
+    return StrangerFault(name, changed("driven", change), hint, Q_ALSO)
 
 
-def of_r(name: str, hint: str, change: Change, *, new: bool = False) -> Fault:
+def of_r(name: str, hint: str, change: Change, *, new: bool = False) -> StrangerFault:
     """Return a fault of R, that of new landmarks included or alone."""
-    return Fault(name, changed("first_noise" if new else "noise", change), hint)
+    return StrangerFault(name, changed("first_noise" if new else "noise", change), hint)
 
 
-def of_car(name: str, hint: str, **parts: float) -> Fault:
+def of_car(name: str, hint: str, **parts: float) -> StrangerFault:
     """Return a fault of the vehicle's measures, in its motion alone."""
     plant = instead(velocity=lambda own, ekf, u: own(u, **parts))
-    return Fault(name, plant, hint, Q_ALSO, "car")
+    return StrangerFault(name, plant, hint, Q_ALSO, "car")
 
 
-def of_positions(name: str, hint: str, **parts: Change) -> Fault:
+def of_positions(name: str, hint: str, **parts: Change) -> StrangerFault:
     """Return a fault of positions: of the place, of the noise."""
-    return Fault(name, positioned(**parts), hint, log="positions")
+    return StrangerFault(name, positioned(**parts), hint, log="positions")
 
 
 HINTS = (
@@ -291,12 +293,12 @@ HINTS = (
         "range scale and bias", r"range.*0\.98.*0\.1\b",
         lambda ekf, k, z: z * (0.98, 1.0) + (0.1, 0.0),
     ),
-    Fault(
+    StrangerFault(
         "expected range scale",
         expecting(lambda own, ekf, pose, point: own(pose, point)[0] * (1.02, 1.0)),
         hint=r"expected range is 1\.02 times",
     ),
-    Fault("sensor's place", sensor_at(0.3, -0.1), hint=r"0\.3.*-0\.1", also=r"heading|H "),
+    StrangerFault("sensor's place", sensor_at(0.3, -0.1), hint=r"0\.3.*-0\.1", also=r"heading|H "),
     measured(
         "ranges rounded", r"range.*(round|multiples).*0\.1\b",
         lambda ekf, k, z: (np.round(z[0], 1), z[1]),
@@ -321,7 +323,7 @@ HINTS = (
         "bearing of the measurement before", r"bearing.*previous",
         lambda ekf, k, z: (z[0], ekf.log.z[max(k - 1, 0), 1]),
     ),
-    Fault(
+    StrangerFault(
         "expected from the departing pose",
         expecting(lambda own, ekf, pose, point: own(ekf.departed, point)[0]),
         hint=r"expected.*before the (last )?prediction",
@@ -339,7 +341,8 @@ HINTS = (
          lambda ekf, k, r: np.diag([(0.02 * ekf.log.z[k, 0]) ** 2, r[1, 1]])),
     of_r("R correlated", r"R.*(correlat|off-diagonal).*0\.3",
          lambda ekf, k, r: r + 0.3 * np.sqrt(r[0, 0] * r[1, 1]) * (1.0 - np.eye(2))),
-    Fault("sigma for variance, bearing", instead(noise=rooted(1)), r"R.*bearing.*sigma instead"),
+    StrangerFault("sigma for variance, bearing", instead(noise=rooted(1)),
+                  r"R.*bearing.*sigma instead"),
     of_r("R of new landmarks times 4", r"R of new landmarks.* 4 times",
          lambda ekf, k, r: 4.0 * r, new=True),
     of_r("R of new landmarks' bearing halved", r"R of new landmarks.*bearing.* 0\.5 times",
@@ -347,31 +350,32 @@ HINTS = (
     of_r("sigma in new landmarks", r"R of new landmarks.*sigma instead",
          lambda ekf, k, r: np.sqrt(r), new=True),
     # H.
-    Fault("sign of H's heading", entries(lambda h, d: h * (1, 1, -1, 1, 1)),
+    StrangerFault("sign of H's heading", entries(lambda h, d: h * (1, 1, -1, 1, 1)),
           r"heading.*opposite sign"),
-    Fault("range row halved", entries(lambda h, d: h * [[0.5], [1.0]]),
+    StrangerFault("range row halved", entries(lambda h, d: h * [[0.5], [1.0]]),
           hint=r"range row.* 0\.5 times"),
-    Fault(
+    StrangerFault(
         "bearing row by the range",
         entries(lambda h, d: h * [[1.0] * 5, np.hypot(*d) ** np.array([1, 1, 0, 1, 1])]),
         hint=r"bearing row.*(range|distance)",
     ),
-    Fault("landmark columns halved", entries(lambda h, d: h * (1, 1, 1, 0.5, 0.5)),
+    StrangerFault("landmark columns halved", entries(lambda h, d: h * (1, 1, 1, 0.5, 0.5)),
           hint=r"landmark.* 0\.5 times"),
-    Fault(
+    StrangerFault(
         "H at the first place",
         h_of(lambda own, ekf, pose, at: own(pose, ekf.began[ekf.log.label[ekf.now]])[1:]),
         hint=r"H.*(first|initial)",
     ),
-    Fault("H before the prediction", h_of(lambda own, ekf, pose, at: own(ekf.departed, at)[1:]),
-          hint=r"H.*before the last prediction"),
+    StrangerFault("H before the prediction",
+                  h_of(lambda own, ekf, pose, at: own(ekf.departed, at)[1:]),
+                  hint=r"H.*before the last prediction"),
     # Steps.
     driven("speed times 1.02", r"(speed is|lasts) 1\.02 times", lambda ekf, n, u: u * (1.02, 1.0)),
     driven("speed bias", r"speed.*0\.05 m/s", lambda ekf, n, u: u + (0.05, 0.0)),
     driven("steering scale", r"(steering angle|yaw rate) is 1\.05 times",
            lambda ekf, n, u: u * (1.0, 1.05)),
     driven("steering bias", r"(steering|yaw rate).*0\.01 rad", lambda ekf, n, u: u + (0.0, 0.01)),
-    Fault(
+    StrangerFault(
         "turn scale",
         stepping(lambda pose, arrived: pose + (1.0, 1.0, 0.95) * (arrived - pose)),
         hint=r"(rotation|yaw rate).* 0\.95 times",
@@ -386,62 +390,64 @@ HINTS = (
            lambda ekf, n, u: (u[0], lagged(ekf, n, 1)[1])),
     driven("mean of two samples", r"mean|average|between",
            lambda ekf, n, u: 0.5 * (u + lagged(ekf, n, 1))),
-    Fault("F at the arriving pose", f_turned(1.0), hint=r"F.*after the step"),
-    Fault("F at the middle", f_turned(0.5), hint=r"F.*(middle|0\.5)"),
-    Fault(
+    StrangerFault("F at the arriving pose", f_turned(1.0), hint=r"F.*after the step"),
+    StrangerFault("F at the middle", f_turned(0.5), hint=r"F.*(middle|0\.5)"),
+    StrangerFault(
         "step along the middle heading",
         stepping(lambda pose, arrived: pose + turned(0.5, pose, arrived) @ (arrived - pose)),
         hint=r"(middle|0\.5).*heading|heading.*middle",
         also=r"^F is linearised at the pose before", log="car",
     ),
-    Fault("step along the arc", stepping(along_arc), hint=r"\barc\b", also=Q_ALSO, log="car"),
+    StrangerFault("step along the arc", stepping(along_arc), hint=r"\barc\b", also=Q_ALSO,
+                  log="car"),
     of_car("sensor's place on the car", r"sensor_forward_m.*3\.5\b", sensor_forward_m=3.5),
     of_car("encoder's place", r"encoder_offset_m.*0\.5\b", encoder_offset_m=0.5),
     # Q.
-    Fault(
+    StrangerFault(
         "Q in the body's axes", turning_q(lambda departed, arrived: -departed[2]),
         r"Q.*(not rotated|vehicle's frame|vehicle's axes)",
     ),
-    Fault("Q turned by the arriving heading",
+    StrangerFault("Q turned by the arriving heading",
           turning_q(lambda departed, arrived: arrived[2] - departed[2]), hint=r"Q.*after the step"),
-    Fault("Q times 3", spread(lambda ekf, q, dt: 3.0 * q), hint=r"Q is 3 times"),
-    Fault(
+    StrangerFault("Q times 3", spread(lambda ekf, q, dt: 3.0 * q), hint=r"Q is 3 times"),
+    StrangerFault(
         "speed's noise times 4",
         instead(of_control=lambda own, ekf, s: own(s) * np.diag([4.0, 1.0])),
         hint=r"speed.*Q.* 4 times",
     ),
-    Fault(
+    StrangerFault(
         "turn's noise times 0.25",
         instead(of_control=lambda own, ekf, s: own(s) * np.diag([1.0, 0.25])),
         hint=r"(yaw rate|steering).*Q.* 0\.25 times",
     ),
-    Fault("sigma for variance, turn", instead(of_control=rooted(1)),
+    StrangerFault("sigma for variance, turn", instead(of_control=rooted(1)),
           r"(yaw rate|steering).*Q.*sigma instead"),
-    Fault("Q by dt, not its square", spread(lambda ekf, q, dt: q / dt),
+    StrangerFault("Q by dt, not its square", spread(lambda ekf, q, dt: q / dt),
           hint=r"Q.*interval|Q is 40 times"),
-    Fault("stabilisation times 100", spread(lambda ekf, q, dt: q + 99.0 * dt * ekf.rates),
+    StrangerFault("stabilisation times 100", spread(lambda ekf, q, dt: q + 99.0 * dt * ekf.rates),
           hint=r"(stabilis|rate).* 100 times"),
     # New landmarks.
-    Fault("range bias of new landmarks",
+    StrangerFault("range bias of new landmarks",
           instead(first_seen=lambda own, ekf, k: own(k) + (0.2, 0.0)),
           hint=r"landmarks.*range.*0\.2"),
-    Fault("new landmarks from the departing pose", instead(place=from_departed),
+    StrangerFault("new landmarks from the departing pose", instead(place=from_departed),
           hint=r"landmarks.*before the (last )?prediction"),
-    Fault("G_x's heading sign", placed(gx=lambda gx, z: gx * (1, 1, -1)),
+    StrangerFault("G_x's heading sign", placed(gx=lambda gx, z: gx * (1, 1, -1)),
           hint=r"heading.*G_x.*opposite"),
-    Fault("G_z without the range", placed(gz=lambda gz, z: gz / (1.0, z[0])), hint=r"G_z.*range"),
+    StrangerFault("G_z without the range", placed(gz=lambda gz, z: gz / (1.0, z[0])),
+                  hint=r"G_z.*range"),
     # Positions and the prior.
     of_positions("positions' offset", r"position.*0\.5.*-0\.2", place=lambda z: z + (0.5, -0.2)),
     of_positions("positions' R times 4", r"(R|noise).*position.* 4 times", noise=lambda r: 4.0 * r),
     of_positions("positions' sigma for variance", r"(R|noise).*position.*sigma instead",
                  noise=np.sqrt),
-    Fault(
+    StrangerFault(
         "lever arm not turned",
         instead(arm=lambda own, ekf, pose: own(np.zeros(3))),
         hint=r"(lever|antenna).*not rotated", also=r"position.*(heading|H)", log="positions",
     ),
-    Fault("prior times 100", scaled("prior", 100.0), r"prior.* 100 times"),
-    Fault("prior's heading", started(lambda pose: pose + (0.0, 0.0, 0.1)),
+    StrangerFault("prior times 100", scaled("prior", 100.0), r"prior.* 100 times"),
+    StrangerFault("prior's heading", started(lambda pose: pose + (0.0, 0.0, 0.1)),
           hint=r"prior.*heading.*0\.1\b"),
 )  # fmt: skip
 """Written before the hints that name them."""
@@ -457,15 +463,15 @@ HELD_OUT = (
     measured("beam off by one", r"bearing.*0\.0087", lambda ekf, k, z: z + (0.0, np.radians(0.5))),
     driven("steering scaled with a bias", r"steering angle is 1\.1 times.*-0\.02",
            lambda ekf, n, u: u * (1.0, 1.1) - (0.0, 0.02)),
-    Fault("measurements 50 ms late", extrapolated(0.05), hint=r"0\.05 s"),
-    Fault(
+    StrangerFault("measurements 50 ms late", extrapolated(0.05), hint=r"0\.05 s"),
+    StrangerFault(
         "H where it was seen",
         h_of(lambda own, ekf, pose, at: own(pose, ekf.place(pose, ekf.log.z[ekf.now])[0])[1:]),
         hint=r"H.*measurement gives",
     ),
-    Fault("bearing row of the old pose", h_of(bearing_of_departed),
+    StrangerFault("bearing row of the old pose", h_of(bearing_of_departed),
           hint=r"bearing row.*before the last prediction"),
-    Fault("half the range for new ones",
+    StrangerFault("half the range for new ones",
           instead(first_seen=lambda own, ekf, k: own(k) * (0.5, 1.0)),
           hint=r"landmarks' range is 0\.5 times"),
     of_r("bearing noise added", r"R of the bearing (has a constant of 0\.0001 added|is 1\.328)",
@@ -476,16 +482,16 @@ HELD_OUT = (
          lambda ekf, k, r: np.diag([(0.05 * ekf.log.z[k, 0]) ** 2, r[1, 1]]), new=True),
     of_r("new R exchanged", r"R of new landmarks has the variances",
          lambda ekf, k, r: r[::-1, ::-1], new=True),
-    Fault("sigma for variance, prior", instead(prior=lambda own, ekf, p: np.sqrt(own(p))),
+    StrangerFault("sigma for variance, prior", instead(prior=lambda own, ekf, p: np.sqrt(own(p))),
           r"prior's covariance contains sigma"),
     driven("trapezoid", r"mean of a sample and the next one",
            lambda ekf, n, u: 0.5 * (u + lagged(ekf, n, -1))),
     driven("a third of the way", r"0\.3 of the way between a sample and the next one",
            lambda ekf, n, u: u + 0.3 * (lagged(ekf, n, -1) - u)),
-    Fault("interval in centiseconds", instead(predict=in_centiseconds), hint=r"(interval|lasts)",
-          also=Q_ALSO),
+    StrangerFault("interval in centiseconds", instead(predict=in_centiseconds),
+                  hint=r"(interval|lasts)", also=Q_ALSO),
     of_car("shorter wheelbase", r"wheelbase is 2\.500 m", wheelbase_m=2.5),
-    Fault("speed noise with the speed", instead(motion=with_speed),
+    StrangerFault("speed noise with the speed", instead(motion=with_speed),
           hint=r"speed.*Q.*(grow|proportion)"),
     of_positions("positions mirrored", r"east and north", place=lambda z: z[::-1]),
     of_positions("R of positions correlated", r"R of positions.*correl",

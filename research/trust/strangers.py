@@ -1,6 +1,6 @@
 """EKF-SLAM filters of a stranger: numpy, docs/formats.md and slamcheck.Recorder, no more.
 
-A filter reads a log folder and writes an estimate folder. `Ekf` is the textbook's filter: one
+A filter reads a log folder and writes an estimate folder. `TextbookEkf` is the textbook's: one
 update by all known landmarks of a scan, linearised at the predicted state, then the new ones are
 initialised, then positions are fused. Every other filter replaces a method of it.
 """
@@ -39,7 +39,7 @@ def measured(pose: Array, point: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Log:
+class StrangerLog:
     """A log folder's content. z: range, bearing; sigma: theirs; meta: log.toml; row: in the file.
 
     used_s: when each measurement is used, which is when it was made. fixed_s: times of positions;
@@ -59,7 +59,7 @@ class Log:
     fix_noise: Array
 
 
-def read_log(folder: Path) -> Log:
+def read_log(folder: Path) -> StrangerLog:
     """Read a folder with speeds and yaw rates, or speeds and steering angles of a plain bicycle."""
 
     def table(name: str) -> dict[str, Array]:
@@ -75,7 +75,7 @@ def read_log(folder: Path) -> Log:
     noise = np.array([fixes[name] for name in (names[3], names[4], names[4], names[5])])
     meta = tomllib.loads((folder / "log.toml").read_text())
     turn = "steering_rad" if meta["odometry"]["kind"] == "steering" else "yaw_rate_radps"
-    return Log(
+    return StrangerLog(
         meta=meta,
         odometry_s=odometry["time_s"],
         u=np.column_stack((odometry["speed_mps"], odometry[turn])),
@@ -90,7 +90,7 @@ def read_log(folder: Path) -> Log:
     )
 
 
-class Ekf:
+class TextbookEkf:
     """The textbook's filter. x: pose and landmarks, p: covariance, rows of both by v and index.
 
     departed, arrived, lasted_s: of the last step. now: the measurement at hand. began: where each
@@ -100,7 +100,7 @@ class Ekf:
     kind: ClassVar[str] = "ekf"
     dtype: ClassVar[type] = np.float64
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: StrangerLog) -> None:
         """Start at the log's prior."""
         self.log = log = self.fed(log)
         prior, noise = log.meta["prior"], log.meta["odometry"]["noise"]
@@ -118,7 +118,7 @@ class Ekf:
         self.path: list[tuple[float, Array, Array]] = []
         self.note("prior", {"pose": 3}, self.p.copy(), point=self.x.copy())
 
-    def fed(self, log: Log) -> Log:
+    def fed(self, log: StrangerLog) -> StrangerLog:
         """Return the log that the filter works on."""
         return log
 
@@ -285,7 +285,7 @@ class Ekf:
 
     # Run and output
 
-    def run(self) -> Ekf:
+    def run(self) -> TextbookEkf:
         """Filter the whole log."""
         log, now = self.log, self.log.meta["prior"]["time_s"]
         for t in np.unique(np.concatenate((log.odometry_s, log.used_s, log.fixed_s))):
@@ -325,13 +325,13 @@ class Ekf:
 # Sound filters
 
 
-class Single(Ekf):
+class Single(TextbookEkf):
     """State, covariance and update are in single precision."""
 
     dtype = np.float32
 
 
-class Car(Ekf):
+class Car(TextbookEkf):
     """Speed of a wheel, a sensor beside the axle, steps along the departing heading (Nieto 2.5)."""
 
     def velocity(self, u: Array, **other: float) -> Array:

@@ -13,7 +13,7 @@ from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.fastslam.check import LEVEL, check_clouds, check_exact
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import Sampling, Start
+from comparisons.extensions.fastslam.drive import DriveStart, Sampling
 from comparisons.extensions.fastslam.extension import (
     FastSlamExtension,
     FastSlamFinding,
@@ -118,7 +118,7 @@ def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
     comparison: Comparison, stretches: StretchComparison
 ) -> None:
     problem = comparison.gaps.problem
-    prior = Start(problem.prior_pose, problem.prior_covariance)
+    prior = DriveStart(problem.prior_pose, problem.prior_covariance)
     same, landmarks = between(problem, (0, problem.pose_count - 1), prior)
     np.testing.assert_array_equal(landmarks, np.arange(problem.landmark_count))
     for name in ("increment", "z", "measurement_pose", "measurement_landmark"):

@@ -16,7 +16,7 @@ from comparisons.logs.simulate.scan_drive import dense_slam
 from research import bench, dense_maps
 from research.peers import __main__ as peers
 from research.script import options
-from research.timing import Pair, Side, Spent, interleaved
+from research.timing import Side, Spent, TimedPair, interleaved
 from research.timing import run as ran
 from research.trust import damaged
 from tests.graphslam.skips import pass_on
@@ -274,7 +274,7 @@ def test_missing_peers_are_skipped_by_name(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_peers_that_fail_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    pair = Pair(name="made-up: ours", work="none", ours=spending(1.0), theirs=failing)
+    pair = TimedPair(name="made-up: ours", work="none", ours=spending(1.0), theirs=failing)
     monkeypatch.setattr(peers, "pairs_of", lambda name, quick: [pair])
     lines = list(peers.table(["grid"], 1, quick=True, kept=[]))
     assert lines[-1] == "failed: made-up: ours: made-up exited with 1: no window"

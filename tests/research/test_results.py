@@ -16,8 +16,8 @@ from research.record import (
     ROOT,
     STALE,
     Record,
-    RecordError,
     Registry,
+    StoredResultError,
     Table,
     changed,
     code_hash,
@@ -168,7 +168,9 @@ def test_a_record_with_a_missing_field_is_refused(field: str, tmp_path: Path) ->
     assert list(read_records(registry_of(), tmp_path)) == ["one"]
     del whole[field]
     (folder / "one.json").write_text(json.dumps(whole))
-    with pytest.raises(RecordError, match=rf"^one\.json: {field}: field required; record it anew$"):
+    with pytest.raises(
+        StoredResultError, match=rf"^one\.json: {field}: field required; record it anew$"
+    ):
         read_records(registry_of(), tmp_path)
 
 
@@ -193,7 +195,7 @@ def test_a_record_of_no_table_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "docs/results/records"
     folder.mkdir(parents=True)
     (folder / "one.json").write_text(dump(record_of(tmp_path)))
-    with pytest.raises(RecordError, match="no table of"):
+    with pytest.raises(StoredResultError, match="no table of"):
         read_records(registry_of(name="three"), tmp_path)
 
 
@@ -222,14 +224,14 @@ def test_what_fails_or_is_not_committed_is_not_recorded(
 ) -> None:
     table = Table(name="one", title="One", command="python -c 1/0", seeds="0", minutes=1)
     monkeypatch.setattr(recorder, "_git", lambda *words: "")
-    with pytest.raises(RecordError, match="exited with 1: ZeroDivisionError"):
+    with pytest.raises(StoredResultError, match="exited with 1: ZeroDivisionError"):
         make(table, tmp_path)
     monkeypatch.setattr(recorder, "_git", lambda *words: " M comparisons/errors.py")
-    with pytest.raises(RecordError, match="commit what changed"):
+    with pytest.raises(StoredResultError, match="commit what changed"):
         make(table, tmp_path)
     monkeypatch.setattr(recorder, "_git", lambda *words: "")
     table = Table(name="one", title="One", command="slamcheck run DATA/x", seeds="0", minutes=1)
-    with pytest.raises(RecordError, match="--data"):
+    with pytest.raises(StoredResultError, match="--data"):
         make(table, tmp_path / "none")
 
 

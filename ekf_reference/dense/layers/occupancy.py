@@ -7,7 +7,7 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
-from ekf_reference.dense.layers.layer import Hits, Samples
+from ekf_reference.dense.layers.layer import Hits, LayerSamples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
@@ -167,7 +167,7 @@ class OccupancyGrid:
             chosen.append(np.concatenate([_NONE, *(grid.block[k] for k in few)]))
         return chosen
 
-    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> LayerSamples:
         """The centres of all cells that were ever seen."""
         wanted = sorted(self.grids) if regions is None else regions.tolist()
         point, occupancy, region = [np.empty((0, 2))], [np.empty(0)], [np.empty(0, dtype=np.intp)]
@@ -179,7 +179,9 @@ class OccupancyGrid:
                 point.append((frames[number] @ grid.weight[:, seen]).T)
                 occupancy.append(probability(grid.odds[seen].astype(float)))
                 region.append(np.full(len(seen), number, dtype=np.intp))
-        return Samples(np.concatenate(point), np.concatenate(occupancy), np.concatenate(region))
+        return LayerSamples(
+            np.concatenate(point), np.concatenate(occupancy), np.concatenate(region)
+        )
 
     def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """P(occupied) of the cells that points (N, 2) lie in."""

@@ -13,7 +13,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.dynamic_worlds import leaving_cars
 from comparisons.logs.simulate.waypoints import WaypointRun
 from comparisons.logs.simulate.waypoints import simulate as simulate_waypoints
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from research.documents import (
     guivant,
     misono,
@@ -42,11 +42,11 @@ def data(name: str) -> Any:
     return SMALL[name]()
 
 
-def samples(*height: float) -> Samples:
+def samples(*height: float) -> LayerSamples:
     """Occupied cells beside the wall, in rows."""
     east = np.arange(0.1, 20.0, 0.2)
     point = np.vstack([np.column_stack((east, np.full(len(east), h))) for h in height])
-    return Samples(point, np.full(len(point), 0.95), np.zeros(len(point), dtype=np.intp))
+    return LayerSamples(point, np.full(len(point), 0.95), np.zeros(len(point), dtype=np.intp))
 
 
 def splits() -> Drives[guivant.SplitLog]:
@@ -59,7 +59,7 @@ def splits() -> Drives[guivant.SplitLog]:
     return Drives("made up", each)
 
 
-def clouds() -> nieto_fastslam.Clouds:
+def clouds() -> nieto_fastslam.ParticleClouds:
     """Of a simulated drive with positions; what is claimed of Victoria Park is made up."""
     log = simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
     found = nieto_fastslam.clouds(log, (5, 20))
@@ -135,7 +135,7 @@ def high_level_drives() -> Drives[nieto_high_level.HighLevelDrive]:
     return Drives("the beginning of a drive", (drive,))
 
 
-def scan_maps() -> Drives[nieto_scan_maps.ScanMap]:
+def scan_maps() -> Drives[nieto_scan_maps.DenseScanMap]:
     """The first seconds of a drive; what closes there is not a loop."""
     log = first_seconds(open_log("scan-slam-maps"), 18.0)
     return nieto_scan_maps.of_logs([log], "the beginning of a drive")

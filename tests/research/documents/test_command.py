@@ -17,8 +17,8 @@ from research.documents.claims import Claims, at_least, at_most, ours, theirs
 from research.documents.folder import write_gallery
 from research.documents.interface import (
     AnyFigure,
+    DocumentFigure,
     Experiment,
-    Figure,
     ReproductionResult,
     Sources,
 )
@@ -57,7 +57,7 @@ def run_and_skipped(result: ReproductionResult) -> tuple[list[str], list[str]]:
 
 
 def figure(name: str, run: Any = one, needs: str | None = None) -> AnyFigure:
-    return Figure(
+    return DocumentFigure(
         name=name,
         title=HOSTILE,
         place=HOSTILE,
