@@ -1,5 +1,6 @@
-# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` all tests
-# but those of a night. Each sets everything up: `run` without extras, tests with all of them.
+# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` also those
+# slow tests that a change asks for, `make nightly` all tests. tests/shelves.py alone knows what a change
+# asks for. Each sets everything up: `run` without extras, tests with all of them.
 VENV ?= .venv
 BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -20,8 +21,8 @@ run: $(VENV)/installed
 test: lint
 	$(PYTEST) $(QUICK)
 
-# All but the shelves that no change asks for (tests/shelves.py). Types are checked beside the tests,
-# which end where these are wrong.
+# What a change asks for: the tests on no shelf, and the shelves that cover what has changed
+# (tests/shelves.py). Types are checked beside the tests, which end where these are wrong.
 test-all: style
 	@$(BIN)/mypy & types=$$!; \
 	$(PYTEST) -m "not nightly" --durations=30 & tests=$$!; \
@@ -96,22 +97,22 @@ pictures: $(VENV)/installed-dev
 # Records what docs/results.md lacks or shows as stale; DATA is the folder of the public logs. Hours.
 DATA ?= ../shared/data
 results: $(VENV)/installed-dev
-	$(BIN)/python benchmarks/record.py --due --data $(DATA)
+	$(BIN)/python -m research.record --due --data $(DATA)
 
 # The tables of times, on a machine that does nothing else. Half an hour.
 results-speed: $(VENV)/installed-dev
-	$(BIN)/python benchmarks/record.py --due --idle --data $(DATA)
+	$(BIN)/python -m research.record --due --idle --data $(DATA)
 
 # The same work by us and by peers, in turns. PyPI's peers are installed; Debian's are named.
 peers: $(VENV)/installed-dev
 	$(BIN)/python -m pip install --quiet filterpy "evo>=1.28"
 	@command -v kf-slam >/dev/null || echo "for MRPT: sudo apt-get install mrpt-apps mrpt-common"
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peers $(if $(ONLY),--only $(ONLY))
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m research.peers $(if $(ONLY),--only $(ONLY))
 
 # Jobs by the code of a commit (BASE; main and the last release if left out) and by the tree's, in turns;
 # what has become slower by more than 10 % is an error. Three to five minutes a commit.
 bench: $(VENV)/installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bench $(BASE)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m research.bench $(BASE)
 
 # Hours: every test; 30,000 damaged files, odd settings, kills, full disks and strange things in an
 # output's place, drawn anew each time, with how many of each kind were tried; the quick tests as on
@@ -124,7 +125,7 @@ nightly: lint
 	OPENBLAS_CORETYPE=Haswell $(PYTEST) $(QUICK)
 	$(OLD) $(PYTEST) $(QUICK)
 	$(MAKE) test-pythons test-newest test-lowest
-	$(BIN)/python -m benchmarks.mutants
+	$(BIN)/python -m research.mutants
 
 # Source distribution and wheels, built, looked into, and used in fresh environments on Python 3.11,
 # 3.12 and 3.13: those on PATH or PYTHONS="/path/to/python3.11 ...". ALLOW_MISSING=1: those there are.

@@ -53,7 +53,7 @@ def setting(default: T, about: str, *options: Option, **bounds: Any) -> T:
     return cast("T", field)
 
 
-class Section(BaseModel):
+class SettingsGroup(BaseModel):
     """A group of settings. Unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
@@ -96,7 +96,7 @@ def _pose(value: Any) -> Any:
     return found
 
 
-class LogSection(Section):
+class LogSection(SettingsGroup):
     """The log: which one is read, and how."""
 
     source: str = setting(
@@ -207,7 +207,7 @@ _GPS = (
 _GPS_HELP = "GPS: off, on, or half (hold out every second minute). [off]"
 
 
-class EkfConfig(Section):
+class EkfConfig(SettingsGroup):
     """The EKF."""
 
     filter: Filter = setting(
@@ -305,7 +305,7 @@ class EkfConfig(Section):
         return self.filter.startswith("misono")
 
 
-class SmootherConfig(Section):
+class SmootherConfig(SettingsGroup):
     """The smoother."""
 
     method: Literal["batch", "isam2", "fixed-lag"] = setting(
@@ -351,7 +351,7 @@ class SmootherConfig(Section):
     )
 
 
-class ReportConfig(Section):
+class ReportConfig(SettingsGroup):
     """The output folder."""
 
     figures: tuple[Literal["png", "pdf"], ...] = setting(
@@ -365,7 +365,7 @@ class ReportConfig(Section):
     )
 
 
-class FrontEndConfig(Section):
+class FrontEndConfig(SettingsGroup):
     """The scan front end."""
 
     guess: Literal["wheels", "none"] = setting(
@@ -404,7 +404,7 @@ class FrontEndConfig(Section):
     gps: Gps = setting("off", _GPS, Option("--gps", FRONT_END, _GPS_HELP))
 
 
-class ExtensionConfig(Section):
+class ExtensionConfig(SettingsGroup):
     """An extension's settings."""
 
     extension: ClassVar[str]
@@ -457,7 +457,7 @@ def _validated(name: str, given: Any) -> ExtensionConfig:
 Extensions = Annotated[dict[str, SerializeAsAny[ExtensionConfig]], BeforeValidator(_with_classes)]
 
 
-class JobConfig(Section):
+class JobConfig(SettingsGroup):
     """A job's configuration, whichever the job."""
 
     job: str
@@ -796,7 +796,7 @@ def choices_of(annotation: Any) -> tuple[str, ...]:
     return next((found for one in get_args(annotation) if (found := choices_of(one))), ())
 
 
-def json_schema(kind: type[Section]) -> dict[str, Any]:
+def json_schema(kind: type[SettingsGroup]) -> dict[str, Any]:
     """The JSON schema of a job's configuration, all extensions included."""
     schema = kind.model_json_schema()
     if issubclass(kind, Configured):

@@ -26,7 +26,7 @@ from scipy.special import betaincinv, gammainc, gammaincinv
 from comparisons.arrays import Array, Index
 from comparisons.figures import Aside, Key, Mark
 from comparisons.statistics import Nis, Whiteness, average, faults, mean_band, whiteness
-from comparisons.trace.events import Sensor
+from comparisons.trace.events import SensorDescription
 from comparisons.words import Row
 
 MOST_WINDOWS = 60
@@ -34,7 +34,7 @@ MOST_WINDOWS = 60
 _LEAST_IN_WINDOW = 10
 _BEYOND = 0.05
 """Bands that are printed leave so many sound runs outside."""
-NO_SENSOR = Sensor(None, ())
+NO_SENSOR = SensorDescription(None, ())
 
 Mask = NDArray[np.bool_]
 
@@ -168,7 +168,7 @@ class InnovationLog:
     an event has another number of entries, it is one measurement.
     """
 
-    def __init__(self, name: str, sensor: Sensor = NO_SENSOR) -> None:
+    def __init__(self, name: str, sensor: SensorDescription = NO_SENSOR) -> None:
         """Start empty."""
         self._name, self._sensor = name, sensor
         self._values, self._rows = array("d"), array("d")

@@ -6,14 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from comparisons.config import RunConfig, Section, setting_default
+from comparisons.config import RunConfig, SettingsGroup, setting_default
 from comparisons.errors import InputError, note, quoted, shorten
 from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.table import parse_toml, read_toml
 from comparisons.options import RENAMED, Flag, below, merge, renamed_settings
 from comparisons.options.table import FLAGS, of_job
 
-C = TypeVar("C", bound=Section)
+C = TypeVar("C", bound=SettingsGroup)
 _MOST_PARTS = 8
 """Of a setting's path; extensions' have four."""
 
@@ -134,14 +134,14 @@ def _as_now(given: Mapping[str, Any], source: str = "") -> dict[str, Any]:
     return found
 
 
-def _check_sections(job: type[Section], given: Mapping[str, Any], source: str) -> None:
+def _check_sections(job: type[SettingsGroup], given: Mapping[str, Any], source: str) -> None:
     """Raise InputError for a value in a section's place, which nothing can be laid over."""
     kinds = {name: field.annotation for name, field in job.model_fields.items()}
     sections = {
         name: value
         for name, value in given.items()
         if name == "extensions"
-        or (isinstance(kind := kinds.get(name), type) and issubclass(kind, Section))
+        or (isinstance(kind := kinds.get(name), type) and issubclass(kind, SettingsGroup))
     }
     extensions = sections.get("extensions")
     if isinstance(extensions, Mapping):
@@ -153,7 +153,7 @@ def _check_sections(job: type[Section], given: Mapping[str, Any], source: str) -
             )
 
 
-def _nested(job: type[Section], setting: str) -> dict[str, Any]:
+def _nested(job: type[SettingsGroup], setting: str) -> dict[str, Any]:
     """A setting `section.key=value` as nested mappings."""
     path, equals, text = setting.partition("=")
     parts = path.strip().split(".")

@@ -30,8 +30,7 @@ from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured, config_class
-from comparisons.experiments.montecarlo.study import Outcome
-from comparisons.experiments.reproduction.interface import ReproductionResult
+from comparisons.experiments.montecarlo.study import StudyOutcome
 from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.extensions.scan_motion.report import FrontEndResult
 from comparisons.figures import kept_fields, meanings
@@ -39,6 +38,7 @@ from comparisons.options.table import FLAGS
 from comparisons.report.check import CheckResult
 from comparisons.report.explain import every_check
 from comparisons.report.models import Result, SolutionResult
+from research.documents.interface import ReproductionResult
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
@@ -56,7 +56,7 @@ RESULTS: dict[str, tuple[type, ...]] = {
     "solution.json": (SolutionResult,),
     "odometry.json": (FrontEndResult,),
     "map.json": (MapResult,),
-    "montecarlo.json": (Outcome,),
+    "montecarlo.json": (StudyOutcome,),
     "claims.json": (ReproductionResult,),
 }
 """Files of results, and the models or dataclasses of their contents."""

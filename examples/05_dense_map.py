@@ -17,9 +17,9 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.points import AllReturns
 from ekf_reference.dense.regions import LocalRegions
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import Scan, ScanSensor
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
@@ -27,7 +27,7 @@ from ekf_reference.models.range_bearing import RangeBearing
 SIDE_M, SPEED_MPS, STEP_S, REACH_M, RADIUS_M = 60.0, 1.0, 1.0, 14.0, 0.5
 SIGMA = np.array((0.05, math.radians(0.5)))  # range [m], bearing [rad]
 SIGMA_CONTROL = np.array((0.02, math.radians(0.8)))  # speed [m/s], yaw rate [rad/s]
-SENSOR = Sensor(float(SIGMA[0]), float(SIGMA[1]), beam_rad=math.radians(1.0))
+SENSOR = ScanSensor(float(SIGMA[0]), float(SIGMA[1]), beam_rad=math.radians(1.0))
 
 
 def main(figure: str | None = None) -> dict[str, float]:
@@ -39,7 +39,7 @@ def main(figure: str | None = None) -> dict[str, float]:
     motion, sensor = UnicycleModel(), RangeBearing()
     ekf = Ekf(motion, KnownAssociation(), np.zeros(3), np.diag((1e-4, 1e-4, 1e-6)))
     regions = LocalRegions(conditions=Conditions(known_apart_m=0.5))
-    dense, fixed, pose = DenseMap(layers={"points": Points()}, regions=regions), [], np.zeros(3)
+    dense, fixed, pose = DenseMap(layers={"points": AllReturns()}, regions=regions), [], np.zeros(3)
     turn = [math.radians(90.0) if k % 60 == 59 else 0.0 for k in range(4 * 60 + 20)]
     for k, yaw in enumerate(turn):
         control = np.array((0.0 if yaw else SPEED_MPS, yaw))

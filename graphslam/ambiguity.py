@@ -36,7 +36,7 @@ _SAME = 1.0
 """Two places of a landmark are one when they differ by less than this many sigma of its range."""
 
 
-class Alternative(NamedTuple):
+class AlternativeStart(NamedTuple):
     """Poses (K, 3) and landmarks (L, 2) to start from, and the error that they add, estimated."""
 
     excess: float
@@ -44,7 +44,7 @@ class Alternative(NamedTuple):
     landmarks: Array
 
 
-def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[Alternative]:
+def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[AlternativeStart]:
     """All alternatives to try from an estimate: poses (K, 3) unwrapped, landmarks (L, 2).
 
     The least excess comes first. Where several landmarks would be better off elsewhere, moving all
@@ -52,7 +52,7 @@ def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[A
     """
     modes = landmark_modes(problem, poses, landmarks)
     found = [
-        Alternative(float(modes.excess[i]), poses, _moved(landmarks, modes, [i]))
+        AlternativeStart(float(modes.excess[i]), poses, _moved(landmarks, modes, [i]))
         for i in np.flatnonzero(modes.excess <= EXCESS * (modes.count + 1)).tolist()
     ]
     found += windings(problem, poses, landmarks)
@@ -63,7 +63,7 @@ def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[A
     if len(first) > 1:
         rows = better[first].tolist()
         excess = float(modes.excess[rows].sum())
-        found.append(Alternative(excess, poses, _moved(landmarks, modes, rows)))
+        found.append(AlternativeStart(excess, poses, _moved(landmarks, modes, rows)))
     return sorted(found, key=lambda one: one.excess)
 
 
@@ -79,7 +79,7 @@ def loose(problem: SlamProblem) -> bool:
     return max(bearing, prior, float(np.sqrt(blind))) > LOOSE_RAD
 
 
-def mirrors(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:
+def mirrors(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[AlternativeStart]:
     """The path with its landmarks mirrored, whole or from a pose on.
 
     The whole is mirrored about its first heading, about its chord, and about the line through the
@@ -105,7 +105,7 @@ def mirrors(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Al
             other[k, 2] = poses[k, 2]
         free = first >= k
         moved[free] = _reflected(landmarks[free], origin, angle)
-        yield Alternative(0.0, other, moved)
+        yield AlternativeStart(0.0, other, moved)
 
 
 def _reflected(points: Array, origin: Array, angle: float) -> Array:
@@ -140,7 +140,7 @@ def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
     return [(first, last) for first, last in between if measured[first:last].all()]
 
 
-def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:
+def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[AlternativeStart]:
     """The heading wound by a turn more or less in a stretch without measurements.
 
     The turn is shared by the stretch's increments as their variances are, its path is integrated
@@ -157,7 +157,7 @@ def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[A
             excess = ((residual + turn) ** 2 - residual**2) / (2.0 * max(total, 1e-300))
             if excess <= WINDING_EXCESS:
                 wound = _wound(problem, poses, slice(first, last), turn * share)
-                yield Alternative(excess, wound, landmarks)
+                yield AlternativeStart(excess, wound, landmarks)
 
 
 def _wound(problem: SlamProblem, poses: Array, part: slice, turn: Array) -> Array:

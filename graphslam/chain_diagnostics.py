@@ -23,7 +23,7 @@ _BLOCK = 64
 
 
 @dataclass(frozen=True)
-class Estimated:
+class SampledFigure:
     """A figure from draws.
 
     Attributes:
@@ -114,7 +114,7 @@ def monte_carlo_error(values: Array) -> Array:
     return error
 
 
-def estimated(values: Array) -> Estimated:
+def estimated(values: Array) -> SampledFigure:
     """Return the mean of one number over all draws, with its standard error.
 
     Args:
@@ -123,7 +123,7 @@ def estimated(values: Array) -> Estimated:
     Returns:
         Mean and error.
     """
-    return Estimated(float(values.mean()), float(monte_carlo_error(values)))
+    return SampledFigure(float(values.mean()), float(monte_carlo_error(values)))
 
 
 def half_chains(draws: Array) -> Array:

@@ -50,7 +50,7 @@ _HEIGHTS = 3, 2, 2, 2, 3, 3, 3
 merge."""
 
 
-class Rows(NamedTuple):
+class ResidualRows(NamedTuple):
     """Where the scalar rows (m,) of `build_graph` come from, once it is linearised.
 
     component: of COMPONENTS, -1 for what is known beforehand. entry: within its factor. pose: the
@@ -63,7 +63,7 @@ class Rows(NamedTuple):
     landmark: Index
 
 
-class Part(NamedTuple):
+class ResidualGroup(NamedTuple):
     """Residuals that are judged together.
 
     p_value: chance that a right problem's are as far out. component: of COMPONENTS, or empty for
@@ -133,7 +133,7 @@ def far_less(test: ChiSquareTest, other: ChiSquareTest) -> bool:
     return bool(betainc(half, half, test.chi2 / (test.chi2 + other.chi2)) <= EXTREME)
 
 
-def row_origins(problem: SlamProblem) -> Rows:
+def row_origins(problem: SlamProblem) -> ResidualRows:
     """Return where each scalar row of a problem's graph comes from.
 
     Args:
@@ -153,7 +153,7 @@ def row_origins(problem: SlamProblem) -> Rows:
     landmark[begin : begin + len(p.z)] = p.measurement_landmark
     entry = np.concatenate([np.arange(one) for one in height])
     pose, mapped = np.repeat(last_poses(p), height), np.repeat(landmark, height)
-    return Rows(row_components(p), entry, pose, mapped)
+    return ResidualRows(row_components(p), entry, pose, mapped)
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class Goodness:
         return chi_square_test(float(self.graph.error(self.values)), dof)
 
     @cached_property
-    def worst(self) -> Part | None:
+    def worst(self) -> ResidualGroup | None:
         """The part that is farthest outside its band; None where all parts are inside."""
         return min(self._outside, key=lambda part: part.p_value, default=None)
 
@@ -193,7 +193,7 @@ class Goodness:
         return self.test.reading != "too high" and not any(more)
 
     @cached_property
-    def departure(self) -> Part | None:
+    def departure(self) -> ResidualGroup | None:
         """Where most is left beyond the stated noise: a sensor, one in a stretch, of a landmark.
 
         Its `first` is the pose of the first of its residuals outside their band, if there is one.
@@ -214,7 +214,7 @@ class Goodness:
         return most._replace(first=min(singles), how="first") if singles else most
 
     @cached_property
-    def _outside(self) -> list[Part]:
+    def _outside(self) -> list[ResidualGroup]:
         """Parts outside their bands, such that LEVEL of right problems has any."""
         parts = list(_parts(self.problem, self.graph, self.values))
         limit = _limit(sum(part.how != "single" for part in parts))
@@ -223,7 +223,7 @@ class Goodness:
 
 def _parts(
     problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> Iterator[Part]:
+) -> Iterator[ResidualGroup]:
     """All that is judged of a problem's residuals."""
     rows = row_origins(problem)
     jacobian, right = sparse_system(graph, values, len(rows.component))
@@ -259,7 +259,7 @@ def _parts(
         yield from _orders(rows, right, (share, beside, following), paired)
 
 
-def _groups(rows: Rows, known: Mask) -> Iterator[Mask]:
+def _groups(rows: ResidualRows, known: Mask) -> Iterator[Mask]:
     """Masks (m,): sensors, these over time, and by landmark."""
     poses = np.quantile(rows.pose[known], np.linspace(0.0, 1.0, _STRETCHES + 1)[1:-1])
     stretch = np.searchsorted(poses, rows.pose)
@@ -273,7 +273,9 @@ def _groups(rows: Rows, known: Mask) -> Iterator[Mask]:
                 yield sensor & (rows.landmark == landmark)
 
 
-def _singles(rows: Rows, right: Array, share: Array, selected: Index) -> Iterator[Part]:
+def _singles(
+    rows: ResidualRows, right: Array, share: Array, selected: Index
+) -> Iterator[ResidualGroup]:
     """Single residuals outside their band, which is that of all of them together."""
     size = np.abs(right[selected]) / np.sqrt(share[selected])
     p_value = erfc(size / np.sqrt(2.0))
@@ -287,7 +289,9 @@ def _limit(count: int) -> float:
     return 0.5 * LEVEL / max(count, 1)
 
 
-def _sizes(rows: Rows, right: Array, share: Array, selected: Index) -> Iterator[Part]:
+def _sizes(
+    rows: ResidualRows, right: Array, share: Array, selected: Index
+) -> Iterator[ResidualGroup]:
     """Chi-square of some rows: its variance is at most twice its expectation."""
     dof = float(share[selected].sum())
     if dof < _LEAST_DOF:
@@ -297,7 +301,9 @@ def _sizes(rows: Rows, right: Array, share: Array, selected: Index) -> Iterator[
     yield _part("size", rows, selected, (2.0 * float(min(tails)), chi2, dof))
 
 
-def _means(rows: Rows, right: Array, variance: float, selected: Index) -> Iterator[Part]:
+def _means(
+    rows: ResidualRows, right: Array, variance: float, selected: Index
+) -> Iterator[ResidualGroup]:
     """The sum of rows of one kind."""
     if variance < _LEAST_DOF:
         return
@@ -306,8 +312,8 @@ def _means(rows: Rows, right: Array, variance: float, selected: Index) -> Iterat
 
 
 def _orders(
-    rows: Rows, right: Array, covariances: tuple[Array, Array, Index], paired: Index
-) -> Iterator[Part]:
+    rows: ResidualRows, right: Array, covariances: tuple[Array, Array, Index], paired: Index
+) -> Iterator[ResidualGroup]:
     """Products of rows of one kind and the next of theirs."""
     if len(paired) < _FEWEST_PAIRS:
         return
@@ -318,10 +324,12 @@ def _orders(
     yield _part("order", rows, paired, (float(erfc(size / np.sqrt(2.0))), size, 0.0))
 
 
-def _part(how: str, rows: Rows, selected: Index, figures: tuple[float, float, float]) -> Part:
+def _part(
+    how: str, rows: ResidualRows, selected: Index, figures: tuple[float, float, float]
+) -> ResidualGroup:
     """A part by its rows. figures: p-value, value and expectation."""
     components, landmarks = (np.unique(one[selected]) for one in (rows.component, rows.landmark))
-    return Part(
+    return ResidualGroup(
         p_value=figures[0],
         how=how,
         component=COMPONENTS[components[0]] if len(components) == 1 else "",

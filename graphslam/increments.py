@@ -21,7 +21,7 @@ steps of at most so many seconds."""
 
 
 @dataclass(frozen=True)
-class Samples:
+class MotionSamples:
     """Body-frame motion of N samples.
 
     displacement: (N, 3) dx, dy [m], dheading [rad] in the departing frame.
@@ -62,7 +62,7 @@ def ackermann_samples(
     stabilisation: Stabilisation,
     geometry: AckermannGeometry,
     integration: Integration = "euler",
-) -> Samples:
+) -> MotionSamples:
     """Return the motion of a car with an encoder on the rear left wheel, its pose at the laser.
 
     In the body frame A.4 says: the axle's middle advances by ds, the laser at (a, b) also swings by
@@ -114,7 +114,7 @@ def unicycle_samples(
     sigma: tuple[float, float],
     stabilisation: Stabilisation,
     integration: Integration = "middle",
-) -> Samples:
+) -> MotionSamples:
     """Return the motion of a differential drive: a chord along the heading halfway.
 
     Args:
@@ -196,7 +196,7 @@ def _mean_turn(turn: Array) -> tuple[Array, Array]:
     return np.where(small, series, mean), np.where(small, by_turn, slope)
 
 
-def compose(samples: Samples, interval: Index, count: int) -> Samples:
+def compose(samples: MotionSamples, interval: Index, count: int) -> MotionSamples:
     """Compose the samples of each interval into one increment.
 
     A perturbation xi_i at the arrival of sample i reaches the end of the interval as Ad(T_i^-1)
@@ -232,7 +232,7 @@ def compose(samples: Samples, interval: Index, count: int) -> Samples:
     filled = start < end
     if filled.any():
         covariance[filled] = np.add.reduceat(carried, start[filled], axis=0)
-    return Samples(displacement, covariance)
+    return MotionSamples(displacement, covariance)
 
 
 def dead_reckoned(prior_pose: Array, displacement: Array) -> Array:
@@ -284,7 +284,7 @@ def _with_noise(
     sigma: tuple[float, float],
     duration_s: Array,
     stabilisation: Stabilisation,
-) -> Samples:
+) -> MotionSamples:
     """Turn control noise, given through Jacobians in the departing frame, into the arriving one."""
     cos, sin = np.cos(displacement[:, 2]), np.sin(displacement[:, 2])
     arriving = np.empty_like(jacobian)
@@ -296,4 +296,4 @@ def _with_noise(
     covariance[:, 0, 0] += stabilisation.variance_rate_position * duration_s
     covariance[:, 1, 1] += stabilisation.variance_rate_position * duration_s
     covariance[:, 2, 2] += stabilisation.variance_rate_heading * duration_s
-    return Samples(displacement, covariance)
+    return MotionSamples(displacement, covariance)

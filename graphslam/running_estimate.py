@@ -15,7 +15,7 @@ from graphslam.arrays import Array, Index, wrap_angle
 from graphslam.layout import Layout
 
 
-class Expected(NamedTuple):
+class ExpectedMeasurements(NamedTuple):
     """Measurements expected of n landmarks. z: (n, 2). jacobian: (n, 2, 5) by pose and landmark."""
 
     z: Array
@@ -65,7 +65,7 @@ class RunningEstimate:
         distance = np.linalg.norm(self.landmarks - self.pose[:2], axis=1)
         return np.flatnonzero(distance <= reach_m)
 
-    def expect(self, landmark_indices: Index) -> Expected:
+    def expect(self, landmark_indices: Index) -> ExpectedMeasurements:
         """What landmarks (n,) would look like from here."""
         offset = self.landmarks[landmark_indices] - self.pose[:2]
         r = np.hypot(offset[:, 0], offset[:, 1])
@@ -75,7 +75,7 @@ class RunningEstimate:
         jacobian[:, 0, 3:], jacobian[:, 1, 3:] = along, across
         jacobian[:, :, :2] = -jacobian[:, :, 3:]
         jacobian[:, 1, 2] = -1.0
-        return Expected(z, jacobian)
+        return ExpectedMeasurements(z, jacobian)
 
     def spread(self, landmark_indices: Index, jacobian: Array) -> Array:
         """(2 n, 2 n) covariance of the expected measurements of landmarks (n,), noise left out."""

@@ -30,7 +30,7 @@ from scipy.special import gammaincinv
 from graphslam.arrays import Array, Index, wrap_angle
 from graphslam.chain_diagnostics import (
     ChainEvidence,
-    Estimated,
+    SampledFigure,
     chain_evidence,
     estimated,
     half_chains,
@@ -96,7 +96,7 @@ class Chains(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Judgement:
+class PosteriorComparison:
     """A Gaussian against the exact posterior, for some numbers of the state.
 
     Where all variance ratios are equal, chance may put least above largest.
@@ -108,9 +108,9 @@ class Judgement:
         largest: largest variance ratio.
     """
 
-    coverage: Estimated
-    least: Estimated
-    largest: Estimated
+    coverage: SampledFigure
+    least: SampledFigure
+    largest: SampledFigure
 
 
 def sample_chains(
@@ -628,7 +628,7 @@ class PosteriorDraws:
 
     def judge(
         self, mean: Array, covariance: Array, numbers: Index, level: float = 0.95
-    ) -> Judgement:
+    ) -> PosteriorComparison:
         """Compare a Gaussian with the posterior.
 
         The extreme directions are sought in one half of the chains and measured in the other, so
@@ -659,14 +659,14 @@ class PosteriorDraws:
         halves = apart[::2], apart[1::2]
         crossed = [_extremes(given, *pair) for pair in (halves, halves[::-1])]
         least, largest = (_averaged(*pair) for pair in zip(*crossed, strict=True))
-        return Judgement(estimated(inside), least, largest)
+        return PosteriorComparison(estimated(inside), least, largest)
 
     def _check(self) -> None:
         if self.lacks:
             raise NotConvergedError(f"not converged: {self.lacks}")
 
 
-def _extremes(given: Array, sought: Array, measured: Array) -> tuple[Estimated, Estimated]:
+def _extremes(given: Array, sought: Array, measured: Array) -> tuple[SampledFigure, SampledFigure]:
     """Least and largest ratio of variances in the extreme directions of some draws, in others."""
     flat = sought.reshape(-1, sought.shape[2])
     _, directions = eigh(given, np.atleast_2d(np.cov(flat.T)))
@@ -675,13 +675,15 @@ def _extremes(given: Array, sought: Array, measured: Array) -> tuple[Estimated, 
         along = measured @ direction
         variance = estimated((along - along.mean()) ** 2)
         ratio = float(direction @ given @ direction) / variance.value
-        found.append(Estimated(ratio, ratio * variance.error / variance.value))
+        found.append(SampledFigure(ratio, ratio * variance.error / variance.value))
     return found[0], found[1]
 
 
-def _averaged(one: Estimated, other: Estimated) -> Estimated:
+def _averaged(one: SampledFigure, other: SampledFigure) -> SampledFigure:
     """Mean of two independent figures."""
-    return Estimated(0.5 * (one.value + other.value), 0.5 * float(np.hypot(one.error, other.error)))
+    return SampledFigure(
+        0.5 * (one.value + other.value), 0.5 * float(np.hypot(one.error, other.error))
+    )
 
 
 def sample_posterior(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from graphslam.ambiguity import Alternative, alternatives, loose
+from graphslam.ambiguity import AlternativeStart, alternatives, loose
 from graphslam.arrays import Array
 from graphslam.graph_builder import (
     LANDMARK_KEY,
@@ -226,7 +226,9 @@ class MinimumSearch:
             self._beside.append(end)
         return None
 
-    def _comes_to_nothing(self, attempt: Attempt, other: Alternative, landmarks: Array) -> bool:
+    def _comes_to_nothing(
+        self, attempt: Attempt, other: AlternativeStart, landmarks: Array
+    ) -> bool:
         """Whether a moved landmark comes back, or costs too much, as those nearby already tell.
 
         Only of problems of more than NEARBY_POSES or LOCAL_POSES: a hop over all takes too long.
@@ -247,7 +249,7 @@ class MinimumSearch:
         return back or too_much
 
     def _trial(
-        self, attempt: Attempt, other: Alternative, poses: Array, landmarks: Array
+        self, attempt: Attempt, other: AlternativeStart, poses: Array, landmarks: Array
     ) -> Attempt:
         values = gtsam.Values(attempt.values)
         for k in np.flatnonzero(np.abs(other.poses - poses).max(axis=1) > 0.0).tolist():

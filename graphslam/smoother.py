@@ -120,7 +120,7 @@ class Start:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SmootherResult:
+class SmootherEvidence:
     """The estimate asked for, and the evidence from the lowest of all attempts.
 
     poses: (K, 3), headings unwrapped. landmarks: (L, 2). error: half the squared norm of the
@@ -231,7 +231,7 @@ def smooth(
     guesses: Mapping[str, tuple[Array, Array]],
     progress: Callable[[str], None] = lambda stage: None,
     options: SmootherOptions | None = None,
-) -> SmootherResult:
+) -> SmootherEvidence:
     """Find the optimum of a problem, or follow it along the way and say how far it is.
 
     The relaxed start, which needs no guess, and the incremental method's end come after the
@@ -288,7 +288,7 @@ def _prepare(
 
 def _result(
     prepared: _Prepared, options: SmootherOptions, search: MinimumSearch, exploration: Exploration
-) -> SmootherResult:
+) -> SmootherEvidence:
     """Return the lowest minimum with its evidence; SingularProblemError where there is none."""
     problem, rejected, graph = prepared
     best = search.best
@@ -299,7 +299,7 @@ def _result(
     dof = problem.residual_dimension - problem.state_dimension
     if _reweighted(problem, options.kernel):
         dof = 0  # a kernel has changed the residuals, so that chi-square says nothing
-    return SmootherResult(
+    return SmootherEvidence(
         options=options,
         problem=problem,
         poses=poses,
@@ -358,7 +358,7 @@ def _follow(
     return None
 
 
-def _along(result: SmootherResult, followed: _Followed) -> SmootherResult:
+def _along(result: SmootherEvidence, followed: _Followed) -> SmootherEvidence:
     """Return what an incremental method said, with its distance from the optimum."""
     return replace(
         result,
@@ -375,7 +375,7 @@ def _reweighted(problem: SlamProblem, kernel: str) -> bool:
     return kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none")
 
 
-def _distance(optimum: SmootherResult, followed: _Followed) -> float:
+def _distance(optimum: SmootherEvidence, followed: _Followed) -> float:
     """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
     mean, covariance = optimum.marginal()
     points, pose_landmarks = followed.landmarks, followed.pose_landmarks

@@ -11,7 +11,7 @@ import numpy as np
 
 from graphslam.arrays import Array
 from graphslam.scan import planar
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 
 _LOOSE = 10.0
 """Poses are loosely tied whose distance is known so many times worse than closures tell it.
@@ -33,7 +33,7 @@ class Unclosed(NamedTuple):
     sigma_rad: float
 
 
-def unclosed_passage(result: SmootherResult, covariance: Array) -> Unclosed | None:
+def unclosed_passage(result: SmootherEvidence, covariance: Array) -> Unclosed | None:
     """Return two poses that lie nearer to each other than the graph can tell.
 
     Sigmas are smaller than stated where chi-square is lower than expected.
@@ -83,7 +83,7 @@ def _near(poses: Array, sigma: Array, least: float) -> list[tuple[int, int]]:
     return found[:: -max(1, -(-len(found) // _SOLVED))]
 
 
-def _tied(result: SmootherResult, pairs: list[tuple[int, int]], scale: float) -> list[Unclosed]:
+def _tied(result: SmootherEvidence, pairs: list[tuple[int, int]], scale: float) -> list[Unclosed]:
     """Return what the graph knows of each second pose in the first's frame. scale: of sigmas."""
     if not pairs:
         return []

@@ -25,7 +25,7 @@ from scipy.special import gammaincinv
 from graphslam.arrays import Array, Index
 from graphslam.graph_builder import COMPONENTS, row_components
 from graphslam.problem import SlamProblem
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
 
 _DRAWS = 6
@@ -66,7 +66,7 @@ class Component(NamedTuple):
         return float(low), float(high)
 
 
-def variance_components(result: SmootherResult) -> tuple[Component, ...]:
+def variance_components(result: SmootherEvidence) -> tuple[Component, ...]:
     """Return every component that the problem has.
 
     Args:

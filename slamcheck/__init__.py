@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from comparisons.estimates.external import ExternalEstimate as ExternalEstimate
     from comparisons.estimates.external import read_external as read_estimate
     from comparisons.estimates.folder import write_estimate as write_estimate
-    from comparisons.experiments.montecarlo.study import Outcome as MonteCarlo
+    from comparisons.experiments.montecarlo.study import StudyOutcome as MonteCarlo
     from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
     from comparisons.extensions.dense_maps.job import DenseMapping as DenseMapping
     from comparisons.extensions.scan_motion.job import FrontEnd as FrontEnd
@@ -93,7 +93,7 @@ _PLACES = {
     "InputError": "comparisons.errors",
     "Log": "comparisons.logs.log",
     "MapConfig": "comparisons.config",
-    "MonteCarlo": "comparisons.experiments.montecarlo.study:Outcome",
+    "MonteCarlo": "comparisons.experiments.montecarlo.study:StudyOutcome",
     "OdometryConfig": "comparisons.config",
     "Recorder": "comparisons.trace.recorder",
     "RunConfig": "comparisons.config",

@@ -41,9 +41,9 @@ T = TypeVar("T")
 class Outcome(str):
     """`agree`, `disagree` or `unverified`, and what it is the outcome of."""
 
-    of: Judgement
+    of: LogJudgement
 
-    def __new__(cls, value: str, of: Judgement) -> Outcome:
+    def __new__(cls, value: str, of: LogJudgement) -> Outcome:
         """Return the word, which knows more."""
         self = super().__new__(cls, value)
         self.of = of
@@ -51,7 +51,7 @@ class Outcome(str):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judgement:
+class LogJudgement:
     """What was found on a log.
 
     title: log and estimate. report: of the job; folder: where it goes if the test fails; shown: the
@@ -128,7 +128,7 @@ class Judgement:
         return f"{table}\nreport: {self.shown}"
 
 
-_JUDGED = pytest.StashKey[list[Judgement]]()
+_JUDGED = pytest.StashKey[list[LogJudgement]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -190,7 +190,7 @@ def _slam_kept() -> dict[str, Any]:
 @pytest.fixture
 def slam_check(
     request: pytest.FixtureRequest, _slam_kept: dict[str, Any]
-) -> Callable[..., Judgement]:
+) -> Callable[..., LogJudgement]:
     """Judge a log: the reference EKF's run, or the estimate of another system given as a path.
 
     The log is one that was read, as `slam_log`, or a name or path. What is returned has `outcome`,
@@ -202,7 +202,7 @@ def slam_check(
     @_plain
     def check(
         log: Log | str | Path, estimate: str | Path | None = None, **settings: Any
-    ) -> Judgement:
+    ) -> LogJudgement:
         from comparisons.config import CheckConfig, RunConfig
         from comparisons.logs.log import Log
         from comparisons.options.table import of_job
@@ -229,7 +229,7 @@ def slam_check(
 @pytest.fixture
 def slam_baseline(
     request: pytest.FixtureRequest, _slam_kept: dict[str, Any]
-) -> Callable[..., Judgement]:
+) -> Callable[..., LogJudgement]:
     """Fail where a log, or an estimate given as a path, is worse than its baseline.
 
     The file is one of `slamcheck baseline save`, whose settings are used.
@@ -238,7 +238,7 @@ def slam_baseline(
     @_plain
     def compare(
         log: Log | str | Path, file: str | Path, estimate: str | Path | None = None
-    ) -> Judgement:
+    ) -> LogJudgement:
         from comparisons.baseline import compare_with, read_baseline
         from comparisons.errors import InputError
 
@@ -266,7 +266,7 @@ def _judge(
     kept: dict[str, Any],
     log: Log | str | Path,
     config: RunConfig | CheckConfig,
-) -> Judgement:
+) -> LogJudgement:
     """Find what there is to find, and note it for the test's report."""
     from comparisons.config import CheckConfig
 
@@ -291,7 +291,7 @@ def _judge(
     from comparisons.report.job import report_of
 
     report = report_of(checked)
-    found = Judgement(title=title, report=report, folder=folder, shown=str(place))
+    found = LogJudgement(title=title, report=report, folder=folder, shown=str(place))
     judged.append(found)
     return found
 

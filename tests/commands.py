@@ -5,6 +5,7 @@ import io
 import os
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
@@ -23,6 +24,11 @@ class Done(NamedTuple):
 
 def slamcheck(*arguments: str, cwd: Path, columns: int = 100) -> Done:
     """Run a command in a folder. Raises MissingLibraryError where it says that it lacks one."""
+    return called(main, *arguments, cwd=cwd, columns=columns)
+
+
+def called(program: Callable[[], None], *arguments: str, cwd: Path, columns: int = 100) -> Done:
+    """Call a program's entry in a folder. Raises MissingLibraryError as `slamcheck` does."""
     printed, said = io.StringIO(), io.StringIO()
     with (
         patch.object(sys, "argv", ["slamcheck", *arguments]),
@@ -32,7 +38,7 @@ def slamcheck(*arguments: str, cwd: Path, columns: int = 100) -> Done:
         contextlib.redirect_stderr(said),
     ):
         try:
-            main()
+            program()
             code: object = 0
         except SystemExit as stop:
             code = stop.code or 0

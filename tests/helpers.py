@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.script import present as present
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.adapters.time_window import cut_log
@@ -21,6 +20,7 @@ from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.models import Result
 from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_options
+from research.script import present as present
 from tests.ekf_reference.numerics import central_difference as central_difference
 from tests.ekf_reference.numerics import random_covariance as random_covariance
 from tests.ekf_reference.numerics import relative_error as relative_error

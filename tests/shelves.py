@@ -43,8 +43,8 @@ EACH_TIME = _of_comparisons(
 """On no shelf."""
 SHELVES = {
     "the documents' figures": Shelf(
-        _of_comparisons("reproduction/", "test_dense_claims.py", "test_neglected_change.py"),
-        ("comparisons/experiments/reproduction/", "comparisons/documented/"),
+        _tests("research/documents/"),
+        ("research/documents/", "comparisons/documented/"),
     ),
     "tutorials and examples": Shelf(
         _tests(
@@ -59,10 +59,14 @@ SHELVES = {
     ),
     "results' records": Shelf(
         _tests(
-            "test_results.py::test_the_pages_in_the_repository_are_those_of_the_records",
-            "test_results.py::test_earlier_results_are_those_without_a_record",
+            "research/test_results.py::test_the_pages_in_the_repository_are_those_of_the_records",
+            "research/test_results.py::test_earlier_results_are_those_without_a_record",
         ),
-        ("docs/results", "docs/earlier-results.md", "benchmarks/re"),
+        ("docs/results", "docs/earlier-results.md", "research/re"),
+    ),
+    "equations": Shelf(
+        _tests("test_equations.py::test_commands_reach_their_equations"),
+        ("docs/equations.md", "ekf_reference/"),
     ),
     "release": Shelf(
         _tests("test_fresh_environment.py", "test_own_project.py", "test_packages.py"),
@@ -77,7 +81,7 @@ SHELVES = {
         ),
         ("comparisons/report/html/", "comparisons/report/viewer.py"),
     ),
-    "benchmarks": Shelf(_tests("test_benchmarks.py"), ("benchmarks/",)),
+    "research": Shelf(_tests("research/"), ("research/",)),
     "studies": Shelf(
         _of_comparisons("montecarlo/", "test_bands.py", "test_repeat.py"),
         (
@@ -117,6 +121,7 @@ SHELVES = {
             *_of_comparisons(
                 "test_dense_run.py",
                 "test_dense_checks.py",
+                "test_dense_claims.py",
                 "test_dynamic_regions.py",
                 "test_high_level_run.py",
                 "test_map_command.py",

@@ -244,21 +244,50 @@ def test_a_large_positional_dataclass_is_found() -> None:
     assert positional_dataclasses([SMALL + "    last: ClassVar[int] = 0\n"]) == []
 
 
+def on_research(sources: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the modules that import research anywhere, or name a module of it to be loaded.
+
+    sources: name and text of each module.
+    """
+    return [
+        name
+        for name, source in sources
+        if any(module.partition(".")[0] == "research" for module in mentions(source))
+    ]
+
+
+@pytest.mark.slow
+def test_the_product_imports_nothing_of_research() -> None:
+    product = modules(*HOUSE, "slamcheck")
+    assert "slamcheck.__main__" in product
+    assert on_research((name, path.read_text()) for name, path in product.items()) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from research.script import options",
+        "import research.documents.runner as runner",
+        "if TYPE_CHECKING:\n        from research import bench",
+        "shown = resolve_name('research.documents.registry:FIGURES')",
+    ],
+)
+def test_a_product_that_stands_on_research_is_rejected(line: str) -> None:
+    broken = f"def shown():\n    {line}\n"
+    assert on_research([("slamcheck.shown", broken)]) == ["slamcheck.shown"]
+    assert on_research([("slamcheck.shown", broken.replace("research", "researcher"))]) == []
+
+
 def test_nothing_stands_on_experiments() -> None:
-    """But the commands that run them, and rows that say where a constant stands."""
-    commands = {"cli/reproduce.py", "cli/montecarlo.py"}
+    """But the command that runs them."""
     for path in (ROOT / "comparisons").rglob("*.py"):
         name = path.relative_to(ROOT / "comparisons").as_posix()
-        if not name.startswith(("experiments/", "documented/")) and name not in commands:
+        if not name.startswith("experiments/") and name != "cli/montecarlo.py":
             assert "comparisons.experiments" not in path.read_text(), f"{name} names experiments"
 
 
 APART = (
-    "tools.settings_page",  # makes docs/settings.md
-    "tools.options_table",  # makes the table of options
-    "tools.options_types",  # makes their types
     "comparisons.logs.readers.",  # found by the name of a format
-    "ekf_reference.scan_matching.grid_correlation",  # of the documents, for researchers
 )
 """Modules, or beginnings of them, that are in the wheel though nothing in it imports them."""
 
@@ -283,7 +312,7 @@ def mentions(source: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_nothing_that_only_tests_and_benchmarks_use() -> None:
+def test_the_wheel_holds_nothing_that_only_tests_and_research_use() -> None:
     known = modules(*HOUSE, "slamcheck")
     edges = {name: set(mentions(path.read_text())) & set(known) for name, path in known.items()}
     starts = [name for name in known if name.startswith(("slamcheck", "comparisons.cli"))]
@@ -472,3 +501,44 @@ def test_no_extension_imports_another_but_what_it_stands_on() -> None:
             others = {one.removeprefix(prefix) for one in to if one.startswith(prefix)}
             others = {one for one in others if "." in one and one.split(".")[0] != own}
             assert others <= stands_on.get(own, set()), f"{name} imports {sorted(others)}"
+
+
+TWINS = {
+    "LandmarkKind": "each estimator has a table of what it may measure",
+    "Layout": "each estimator has an order of its states' entries",
+    "LoopClosures": "of a log with its units, and of a graph with its keys",
+    "Stabilisation": "each estimator adds the same small noise",
+    "Template": "each estimator has a landmark's shape",
+}
+"""Public classes that share a name on purpose, and why: estimators know nothing of each other."""
+
+
+def places_of_classes(sources: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Folders of each public class at the top of a module, a folder as often as it has one."""
+    places: dict[str, list[str]] = {}
+    for path, source in sources:
+        for state in parsed(source).body:
+            if isinstance(state, ast.ClassDef) and not state.name.startswith("_"):
+                places.setdefault(state.name, []).append(path.partition("/")[0])
+    return {name: sorted(folders) for name, folders in places.items() if len(folders) > 1}
+
+
+def test_no_two_classes_share_a_name() -> None:
+    """Of the product and of research; examples stand alone, each by itself."""
+    folders = ("comparisons", "ekf_reference", "graphslam", "slamcheck", "research")
+    sources = [
+        (path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))
+        for folder in folders
+        for path in (ROOT / folder).rglob("*.py")
+    ]
+    shared = places_of_classes(sources)
+    assert set(shared) == set(TWINS)
+    for name, places in shared.items():
+        assert len(places) == len(set(places)) == 2, name
+        assert set(places) & set(TESTED), name
+
+
+def test_a_second_class_of_a_name_is_found() -> None:
+    twice = [("comparisons/a.py", "class Row: ..."), ("comparisons/b.py", "class Row: ...")]
+    assert places_of_classes(twice) == {"Row": ["comparisons", "comparisons"]}
+    assert places_of_classes(twice[:1]) == {}

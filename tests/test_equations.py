@@ -6,13 +6,20 @@ that the check rejects it.
 
 import ast
 import io
+import os
 import re
+import shlex
+import subprocess
+import sys
 import tokenize
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from tests.graphslam.skips import pass_on
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "equations.md").read_text()
@@ -34,6 +41,31 @@ BLANK = ("N A.12",)
 """Numbers that stand alone in print."""
 AUTHOR = {"G": "Guivant", "M": "Misono", "N": "Nieto"}
 NOT_HERE = "not here, because "
+NOT_IMPLEMENTED = "not implemented"
+PROGRAMS = ("slamcheck ", "python -m research.documents ")
+"""How the commands begin by which functions are reached; DATA in them is the real logs' folder."""
+WATCHER = """
+import atexit, sys, threading
+codes = set()
+def watch(frame, event, _):
+    if event == "call":
+        codes.add(frame.f_code)
+def leave():
+    sys.setprofile(None)
+    with open(listed, "w") as file:
+        file.write("\\n".join(f"{code.co_filename}:{code.co_qualname}" for code in codes))
+listed, *words = sys.argv[1:]
+if words[0] == "slamcheck":
+    from comparisons.cli.app import main
+    sys.argv = words
+else:
+    from research.documents.__main__ import main
+    sys.argv = words[2:]
+atexit.register(leave)
+threading.setprofile(watch)
+sys.setprofile(watch)
+main()
+"""
 SECTIONS = "Sections without numbered equations"
 
 
@@ -44,6 +76,7 @@ class Row(NamedTuple):
     formula: str
     computed: str
     checked: str
+    reached: str
     note: str
 
     @property
@@ -53,6 +86,17 @@ class Row(NamedTuple):
     @property
     def checked_by(self) -> list[tuple[str, str]]:
         return re.findall(r"`([\w/]+\.py)::(\w+)`", self.checked)
+
+    @property
+    def commands(self) -> list[str]:
+        return re.findall(r"`([^`]+)`", self.reached)
+
+    @property
+    def oracle(self) -> bool:
+        """A function of the tests computes it."""
+        return bool(self.computed_by) and all(
+            path.startswith("tests/") for path, _ in self.computed_by
+        )
 
     @property
     def not_here(self) -> bool:
@@ -201,6 +245,49 @@ def unmentioned(text: str) -> list[str]:
     ]
 
 
+def called_by(command: str, folder: Path) -> set[str]:
+    """Run a command; return the functions of the project that it called, as `path:name`."""
+    words = shlex.split(command)
+    script = (*words, "--out", str(folder / "out"))
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHER, str(folder / "called"), *script],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    pass_on(done.stderr)
+    assert done.returncode in (0, 1, 3), f"{command}: {done.stderr}"
+    start = f"{ROOT}/"
+    lines = (folder / "called").read_text().splitlines()
+    return {line.removeprefix(start) for line in lines if line.startswith(start)}
+
+
+def misnamed(text: str) -> list[str]:
+    """Rows that say nothing of what reaches them, or what the column does not allow."""
+    wrong = []
+    for row in [row for table in tables(text).values() for row in table]:
+        known = [command for command in row.commands if command.startswith(PROGRAMS)]
+        by_commands = bool(known) and known == row.commands
+        reason = row.reached.startswith(f"{NOT_IMPLEMENTED}: ")
+        good = row.reached == NOT_IMPLEMENTED if row.not_here else by_commands != reason
+        if not good or (row.oracle and not reason):
+            wrong.append(row.label)
+    return wrong
+
+
+def unreached(rows: Iterable[Row], called: Mapping[str, set[str]]) -> list[str]:
+    """Functions of rows that none of the row's commands calls. called: by command."""
+    wrong = []
+    for row in rows:
+        names = set[str]().union(*(called[command] for command in row.commands))
+        for path, name in row.computed_by:
+            if not any(f"{call}.".startswith(f"{path}:{name}.") for call in names):
+                wrong.append(f"{row.label}: {path}:{name}")
+    return wrong
+
+
 def test_every_number_has_one_row() -> None:
     assert len(wanted()) == 226
     assert not miscounted(TEXT)
@@ -218,6 +305,61 @@ def test_rows_name_a_function_and_a_test_or_say_why_not() -> None:
 @pytest.mark.slow
 def test_functions_name_their_equations() -> None:
     assert not unmentioned(TEXT)
+
+
+def by_command() -> dict[str, list[Row]]:
+    """Rows by the commands that they name, all of them together."""
+    grouped: dict[str, list[Row]] = {}
+    for row in [row for table in tables(TEXT).values() for row in table]:
+        if row.commands:
+            grouped.setdefault("; ".join(row.commands), []).append(row)
+    return grouped
+
+
+def test_each_row_names_a_command_or_says_why_not() -> None:
+    assert not misnamed(TEXT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("commands", by_command())
+def test_commands_reach_their_equations(commands: str, tmp_path: Path, data: Path) -> None:
+    called = {}
+    for number, command in enumerate(commands.split("; ")):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        called[command] = called_by(command.replace("DATA", str(data)), folder)
+    rows = by_command()[commands]
+    assert not unreached(rows, called)
+    nothing = {command: set[str]() for command in called}  # broken: none is called
+    assert len(unreached(rows, nothing)) == sum(len(row.computed_by) for row in rows)
+
+
+@pytest.fixture
+def data(request: pytest.FixtureRequest) -> Path:
+    """The folder of the real logs, for commands that name DATA."""
+    commands: str = request.node.callspec.params["commands"]
+    if "DATA" not in commands:
+        return ROOT
+    folder: Path = request.getfixturevalue("shared_data")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("label", "right", "wrong"),
+    [
+        ("M 3", "`slamcheck run", "`slam run"),
+        ("M 3", "`slamcheck run simulated-loop --filter misono`", "not implemented"),
+        ("M 3", "`slamcheck run simulated-loop --filter misono`", ""),
+        ("N 3.3", "not implemented", "`slamcheck run`"),
+        ("N 3.2", "not implemented: an oracle of the tests", "not implemented"),
+    ],
+)
+def test_a_row_that_says_nothing_of_what_reaches_it_is_rejected(
+    label: str, right: str, wrong: str
+) -> None:
+    row = row_of(label)
+    assert right in row
+    assert misnamed(TEXT.replace(row, row.replace(right, wrong))) == [label]
 
 
 def row_of(label: str) -> str:

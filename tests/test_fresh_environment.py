@@ -79,7 +79,6 @@ def test_a_run_leaves_its_folder(scripts: Path, tmp_path: Path) -> None:
             "--smoother-matcher generalised-icp needs Open3D",
         ),
         ("map scan-loop --cloud pcd", "--cloud needs Open3D"),
-        ("reproduce N5.5", "nothing to run: N5.5 needs Open3D"),
     ],
 )
 def test_what_needs_the_extra_says_so_before_the_work(

@@ -21,7 +21,7 @@ turn unchanged under wheels
 """Words of rows that mean what they mean elsewhere."""
 TEXTS = {"Row": 2, "Named": 1, "rows_of": 1}
 """Calls whose first arguments are texts of rows, and how many are."""
-NAMES = "CLAM CSV JSON KITTI MR N3 ROS SI TOML TUM"
+NAMES = "CLAM CSV JSON KITTI MR ROS SI TOML TUM"
 """Upper case of the help that is no term: formats, data sets, units, figures of a document."""
 
 

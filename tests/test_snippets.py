@@ -34,7 +34,7 @@ HELP = sorted((ROOT / "comparisons" / "cli").glob("*.py"))
 BLOCK = re.compile(r"^( *)```([\w+-]*)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"(?<!`)`([^`]+)`(?!`)")
 COMMAND = re.compile(r"^\s*(?:- )?(?:run: )?(?:\$ )?(?:[A-Z_]+=\S+ )*(slamcheck( .*)?)$")
-LISTS = (["logs"], ["config"], ["config", "--schema"], ["reproduce"])
+LISTS = (["logs"], ["config"], ["config", "--schema"])
 """Command lines that are run: they only list."""
 MODELS: dict[str, type[BaseModel]] = {
     "log.toml": LogModel,
@@ -349,7 +349,7 @@ def test_a_fragment_is_told_from_a_whole() -> None:
     assert not whole("print(y)\n")
 
 
-NAMED = re.compile(r"\b((?:examples|benchmarks|docs|tests)/[\w./-]+\.(?:py|md|ipynb|cpp|toml|png))")
+NAMED = re.compile(r"\b((?:examples|research|docs|tests)/[\w./-]+\.(?:py|md|ipynb|cpp|toml|png))")
 EXTRA = re.compile(r"slamcheck\[([\w,]+)\]")
 
 

@@ -9,7 +9,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from comparisons.config import JOBS, ExtensionConfig, Section, choices_of, config_class
+from comparisons.config import JOBS, ExtensionConfig, SettingsGroup, choices_of, config_class
 from comparisons.extension_names import EXTENSIONS
 from comparisons.options import Flag, Option
 
@@ -61,12 +61,12 @@ def _place(flag: Flag) -> int:
     return max(under, key=lambda i: len(_FIRST[i]), default=len(_FIRST))
 
 
-def _of_section(kind: type[Section], above: str = "") -> Iterator[Flag]:
+def _of_section(kind: type[SettingsGroup], above: str = "") -> Iterator[Flag]:
     for name, field in kind.model_fields.items():
         if name == "extensions":
             for one in EXTENSIONS:
                 yield from _of_extension(config_class(one), f"extensions.{one}")
-        elif isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+        elif isinstance(field.annotation, type) and issubclass(field.annotation, SettingsGroup):
             yield from _of_section(field.annotation, f"{above}{name}.")
         else:
             for option in field.metadata:

@@ -18,7 +18,7 @@ import numpy as np
 import ekf_reference
 from comparisons.config import setting_default
 from comparisons.documented.row import AnyBut, Documented, Value, same, shown
-from comparisons.documented.rows import GROUPS, ROWS
+from research.documents.constants import GROUPS, ROWS
 
 _HEAD = """\
 # Settings

@@ -16,7 +16,7 @@ SIGMA_WIDTH_RAD = 0.006
 SIGMA_SHAPE_M = 0.05
 """Of a diameter (Guivant 2002, eq. 15). Set by hand, so that differences between measurements of
 one tree, more than a minute apart on Victoria Park, have a mean normalised square of about one,
-near and far (0.96 to 1.33; benchmarks/attributes.py): least squares would follow the outliers, 0.15
+near and far (0.96 to 1.33; research/attributes.py): least squares would follow the outliers, 0.15
 m at any range. The first is 1.7 times what beams half a degree apart explain."""
 SIGMA_INTENSITY = 0.45
 """Of an intensity, as a share of the median over the log, for its unit is the sensor's own; from

@@ -6,7 +6,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.logs.scans import Scans
-from ekf_reference.dense.scan import Sensor
+from ekf_reference.dense.scan import ScanSensor
 
 _BEAMS = 9
 """Neighbouring beams to which a quadratic is fitted, a wall being nearly one."""
@@ -23,7 +23,7 @@ _LEAST_RAD = 1e-3
 _GRAZING_RAD = np.deg2rad(8.0)
 
 
-def sensor_of(scans: Scans) -> Sensor:
+def sensor_of(scans: Scans) -> ScanSensor:
     """The scanner with the noise that its scans show; the least where they are too few to tell.
 
     Along a wall a range is wrong by its own noise and by the bearing's times the wall's slope in
@@ -33,7 +33,7 @@ def sensor_of(scans: Scans) -> Sensor:
     spacing = float(np.median(np.abs(np.diff(scans.angle_rad)))) if len(scans.angle_rad) > 1 else 0
     spacing = spacing or np.deg2rad(0.5)
     sigma_m, sigma_rad = _noise(scans.range_m, spacing)
-    return Sensor(max(sigma_m, _LEAST_M), max(sigma_rad, _LEAST_RAD), spacing, _GRAZING_RAD)
+    return ScanSensor(max(sigma_m, _LEAST_M), max(sigma_rad, _LEAST_RAD), spacing, _GRAZING_RAD)
 
 
 def _noise(range_m: Array, spacing_rad: float) -> tuple[float, float]:

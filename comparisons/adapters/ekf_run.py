@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import build_ekf
-from comparisons.adapters.filter_loop import Beside, run_filter_loop
+from comparisons.adapters.filter_loop import FilterAttachment, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.timeline import Timeline
@@ -22,7 +22,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.shown import Brief
-from comparisons.trace.events import Sensor
+from comparisons.trace.events import SensorDescription
 from ekf_reference.core.ekf import Ekf, PoseReading
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
@@ -81,20 +81,20 @@ class EkfRun(Brief):
     deactivated: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
-    def sensors(self) -> dict[str, Sensor]:
+    def sensors(self) -> dict[str, SensorDescription]:
         """What the filter fuses, with the components of one measurement."""
         point = ("forward", "left") if self.own_axes else ("range", "bearing")
         pose = ("forward", "left", "heading")
         found = {
-            "measurements": Sensor(None, point),
-            "positions": Sensor(None, ("east", "north")),
-            "scan landmarks": Sensor(None, pose),
-            "merges": Sensor(None, pose),
+            "measurements": SensorDescription(None, point),
+            "positions": SensorDescription(None, ("east", "north")),
+            "scan landmarks": SensorDescription(None, pose),
+            "merges": SensorDescription(None, pose),
         }
         for kind in self.single_entries:
             sensor = "positions" if kind is None else "measurements"
             names = found[sensor].components
-            found |= {f"{name} of {sensor}": Sensor(None, (name,)) for name in names}
+            found |= {f"{name} of {sensor}": SensorDescription(None, (name,)) for name in names}
         return found
 
     @cached_property
@@ -157,7 +157,7 @@ def run_ekf(
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
     epoch_states = run_filter_loop(
-        ekf, log, timeline, positions, Beside(watching, beside.source, recorder)
+        ekf, log, timeline, positions, FilterAttachment(watching, beside.source, recorder)
     )
     for k, state in enumerate(epoch_states):
         landmark_index[state.rows], arrived[k] = state.landmark_indices, state.arrived

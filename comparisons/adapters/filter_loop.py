@@ -93,7 +93,7 @@ class FilterEpoch:
 
 
 @dataclass(frozen=True)
-class Beside:
+class FilterAttachment:
     """What goes along with a filter.
 
     watching: observes. source: of measurements of pose landmarks, fused last and kept
@@ -110,13 +110,13 @@ def run_filter_loop(
     log: Log,
     timeline: Timeline,
     positions: Positions | None = None,
-    beside: Beside | None = None,
+    beside: FilterAttachment | None = None,
 ) -> Iterator[FilterEpoch]:
     """Predict, fuse the measurements, fuse the positions, stop; and so on to the end.
 
     positions: to be fused; the timeline is built with the same.
     """
-    beside = beside or Beside()
+    beside = beside or FilterAttachment()
     watching, source, recorder = beside.watching, beside.source, beside.recorder
     steps, first = timeline.steps_until(), timeline.measurements_until()
     begins, durations = timeline.step_begin_s.tolist(), timeline.step_duration_s.tolist()

@@ -31,15 +31,15 @@ _DECADES = range(-10, 7)
 """Of the noise advised, in m^2/s: 1e-10 is a hundredth of a millimetre after a second."""
 
 
-def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
+def motion_samples(log: Log, timeline: Timeline) -> increments.MotionSamples:
     """Body-frame displacements and covariances of all steps, by graphslam's vehicle models."""
     odometry = log.odometry
     if isinstance(odometry, RelativePoses):
-        return increments.Samples(timeline.control, timeline.control_covariance)
+        return increments.MotionSamples(timeline.control, timeline.control_covariance)
     return wheel_samples(odometry, timeline.control.T, timeline.step_duration_s, log.integration)
 
 
-def composed_motion(log: Log, timeline: Timeline) -> increments.Samples:
+def composed_motion(log: Log, timeline: Timeline) -> increments.MotionSamples:
     """Motion from each epoch to the next: displacements (K - 1, 3), covariances (K - 1, 3, 3)."""
     count = len(timeline.epoch_time_s) - 1
     return increments.compose(motion_samples(log, timeline), timeline.step_epoch - 1, count)
@@ -131,7 +131,7 @@ def least_eigenvalues(covariance: Array) -> Array:
     return least
 
 
-def motion_between(log: Log, time_s: Array) -> increments.Samples:
+def motion_between(log: Log, time_s: Array) -> increments.MotionSamples:
     """Dead reckoned motion up to each instant (N,), from the one before or from the start.
 
     Displacements (N, 3), and covariances (N, 3, 3) of the right perturbation. Raises InputError
@@ -153,7 +153,9 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
     interval = np.searchsorted(timeline.measurement_epoch, timeline.step_epoch)
     before_last = interval < count
     samples = motion_samples(log, timeline)
-    kept = increments.Samples(samples.displacement[before_last], samples.covariance[before_last])
+    kept = increments.MotionSamples(
+        samples.displacement[before_last], samples.covariance[before_last]
+    )
     return increments.compose(kept, interval[before_last], count)
 
 

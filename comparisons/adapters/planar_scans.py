@@ -9,8 +9,8 @@ from comparisons.adapters.scan_source import ScanSource
 from comparisons.arrays import Array
 from comparisons.logs.log import Log
 from comparisons.logs.scans import Scans
-from ekf_reference.dense.scan import Scan, Sensor
-from ekf_reference.scan_landmarks.templates import View
+from ekf_reference.dense.scan import Scan, ScanSensor
+from ekf_reference.scan_landmarks.templates import SensorView
 from graphslam.scan import planar
 from graphslam.scan.points import above_ground, beam_noise
 
@@ -30,7 +30,7 @@ class PlanarScans:
         self._options = self._source.suited_options()
         self.time_s = self._source.time_s
         self._mount = np.zeros(3)
-        self.sensor = Sensor(0.05, _CLOUD_BEAM_RAD, _CLOUD_BEAM_RAD, _GRAZING_RAD)
+        self.sensor = ScanSensor(0.05, _CLOUD_BEAM_RAD, _CLOUD_BEAM_RAD, _GRAZING_RAD)
         if log.clouds is None and log.scans is not None:
             self._mount = log.scans.mount.pose
             self.sensor = _sensor(log.scans)
@@ -51,16 +51,16 @@ class PlanarScans:
         return Scan.of_ranges(pose, bearing[near], distance[near], self.sensor)
 
 
-def view_to(scans: Scans, reach_m: float) -> View:
+def view_to(scans: Scans, reach_m: float) -> SensorView:
     """What planar scans can show up to a reach: as far round as their beams go."""
-    return View(reach_m, float(scans.angle_rad.min()), float(scans.angle_rad.max()))
+    return SensorView(reach_m, float(scans.angle_rad.min()), float(scans.angle_rad.max()))
 
 
-def _sensor(scans: Scans) -> Sensor:
+def _sensor(scans: Scans) -> ScanSensor:
     spacing = float(np.median(np.abs(np.diff(scans.angle_rad)))) if len(scans.angle_rad) > 1 else 0
     some = scans.range_m[:: max(1, len(scans.range_m) // 50)]
     sigma_m = float(np.fmax(beam_noise(some), _LEAST_SIGMA_M))  # NaN where no three beams returned
-    return Sensor(sigma_m, spacing or _CLOUD_BEAM_RAD, spacing, _GRAZING_RAD)
+    return ScanSensor(sigma_m, spacing or _CLOUD_BEAM_RAD, spacing, _GRAZING_RAD)
 
 
 def _nearest(bearing: Array, distance: Array) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import build_ekf, motion_model
 from comparisons.adapters.filter_loop import (
-    Beside,
+    FilterAttachment,
     FilterObserver,
     FilterObservers,
     run_filter_loop,
@@ -149,7 +149,7 @@ def run_reference(
     recorder, label = _Recorder(map_s), dict(zip(index_of.values(), index_of, strict=True))
     watching = FilterObservers([recorder, *([] if started is None else [started(ekf)])])
     try:
-        for state in run_filter_loop(ekf, log, timeline, positions, Beside(watching)):
+        for state in run_filter_loop(ekf, log, timeline, positions, FilterAttachment(watching)):
             if state.fault is not None:
                 return None
             if config.association == "known":

@@ -14,7 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from graphslam.increments import dead_reckoned
-from graphslam.scan.odometry import OdometryOptions, ScanOdometry
+from graphslam.scan.odometry import KissIcpOptions, ScanOdometry
 from graphslam.scan.registration import Registration, ScanError
 
 
@@ -51,7 +51,7 @@ class ScanMotion:
     failures: tuple[ScanFailure, ...]
     source: ScanSource
     scan: Index
-    options: OdometryOptions
+    options: KissIcpOptions
 
     def clouds(self, pose_time_s: Array) -> CloudsAt:
         """The clouds by number of the pose among those at times (K,) that a scan belongs to."""
@@ -94,7 +94,7 @@ class ScanMotion:
 
 def run_scan_odometry(
     log: Log,
-    options: OdometryOptions | None = None,
+    options: KissIcpOptions | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     *,
     guess: bool = True,

@@ -14,7 +14,7 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.points import beam_noise, compensated, planar_points, swept_points
 
 _SAMPLE = 50
@@ -41,13 +41,13 @@ class ScanSource:
         self.time_s = stream.time_s[self.row]
         self._sweep = _sweep_motion(log, stream, self.row) if self.wheeled else None
 
-    def suited_options(self) -> OdometryOptions:
+    def suited_options(self) -> KissIcpOptions:
         """Scan odometry's settings for the noise that the scans show."""
         if isinstance(self._stream, Clouds):
-            return OdometryOptions()
+            return KissIcpOptions()
         some = self.row[:: max(1, len(self.row) // _SAMPLE)]
         noise = beam_noise(self._stream.range_m[some])
-        return OdometryOptions.for_noise(noise) if noise > 0.0 else OdometryOptions()
+        return KissIcpOptions.for_noise(noise) if noise > 0.0 else KissIcpOptions()
 
     def points(self, scan: int) -> Array:
         """(M, 3) points of scan number `scan`, in the vehicle's frame at the scan's time."""
@@ -59,7 +59,7 @@ class CloudsAt(Mapping[int, Array]):
     """Clouds by the number of the pose from which they were seen, made when asked for."""
 
     def __init__(
-        self, source: ScanSource, scan_of_pose: dict[int, int], options: OdometryOptions
+        self, source: ScanSource, scan_of_pose: dict[int, int], options: KissIcpOptions
     ) -> None:
         """scan_of_pose: number of a scan by the number of its pose. options: what to leave out."""
         self._source, self._scan, self._options = source, scan_of_pose, options

@@ -16,11 +16,11 @@ from comparisons.logs.transforms.known_landmarks import surveyed
 from graphslam.association import AssociationResult, associate
 from graphslam.association_variants import Variant, associate_by
 from graphslam.problem import SlamProblem
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 
 
 @dataclass(frozen=True)
-class OwnAssociation:
+class SmootherAssociation:
     """landmark_index: (M,) of each measurement, negative where unused; surveyed ones first.
 
     problem: what is to be smoothed. poses: (K, 3) and landmarks: (L, 2), a start for that.
@@ -45,7 +45,7 @@ class Optimum(NamedTuple):
     kernel: str
 
     @classmethod
-    def of(cls, own: OwnAssociation, result: SmootherResult) -> Optimum:
+    def of(cls, own: SmootherAssociation, result: SmootherEvidence) -> Optimum:
         """Return that of the result with an association."""
         used, rejected = np.flatnonzero(own.landmark_index >= 0), result.rejected
         kernel = result.options.kernel
@@ -53,7 +53,7 @@ class Optimum(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Alternative:
+class AlternativeAssociation:
     """Another association of the same measurements, and the optimum with it.
 
     name: of the way it was found. landmark_index: (M,). poses: (K, 3). chi2: at that optimum,
@@ -96,11 +96,13 @@ class OwnAssociator:
             surveyed_covariance=nothing[1],
         )
 
-    def associate(self) -> OwnAssociation:
+    def associate(self) -> SmootherAssociation:
         """Decide for every measurement."""
         return self._completed(associate(self.problem))
 
-    def alternatives(self, variants: Sequence[Variant], optimum: Optimum) -> list[Alternative]:
+    def alternatives(
+        self, variants: Sequence[Variant], optimum: Optimum
+    ) -> list[AlternativeAssociation]:
         """Decide in other ways, and optimise with each. optimum: with the association found."""
         found = []
         for variant in variants:
@@ -108,7 +110,7 @@ class OwnAssociator:
             found.append(self._optimised(variant.name, own, optimum))
         return found
 
-    def _completed(self, found: AssociationResult) -> OwnAssociation:
+    def _completed(self, found: AssociationResult) -> SmootherAssociation:
         """The same of all measurements, the surveyed landmarks coming first."""
         landmark_index, known = self._fixed.copy(), len(self._places)
         landmark_index[self.open_rows] = np.where(
@@ -118,9 +120,11 @@ class OwnAssociator:
             self._log, self._timeline, landmark_index, known + found.landmark_count, self._rows
         )
         places = np.vstack((self._places, found.landmarks))
-        return OwnAssociation(landmark_index, problem, found.poses, places)
+        return SmootherAssociation(landmark_index, problem, found.poses, places)
 
-    def _optimised(self, name: str, own: OwnAssociation, optimum: Optimum) -> Alternative:
+    def _optimised(
+        self, name: str, own: SmootherAssociation, optimum: Optimum
+    ) -> AlternativeAssociation:
         """The optimum with another association."""
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
@@ -136,7 +140,7 @@ class OwnAssociator:
         try:
             end, *_ = levenberg_marquardt(graph, start, 1e-6)
         except RuntimeError:  # gtsam's indeterminate linear system
-            return Alternative(name, landmark_index, own.poses, float("inf"))
-        return Alternative(
+            return AlternativeAssociation(name, landmark_index, own.poses, float("inf"))
+        return AlternativeAssociation(
             name, landmark_index, from_values(end, problem)[0], 2.0 * float(graph.error(end))
         )

@@ -35,7 +35,7 @@ from graphslam.layout import POINT, POSE_LANDMARK, LandmarkKind
 from graphslam.linear_problem import LinearProblem, LinearRelations, solve
 from graphslam.model_system import LinearisationPoints, model_motion, model_system, moved_to
 from graphslam.problem import LoopClosures, SlamProblem
-from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, SmootherOptions, smooth
 
 
 class PositionRows(NamedTuple):
@@ -200,7 +200,7 @@ def run_smoother(
     run: EkfRun,
     options: SmootherOptions,
     progress: Callable[[str], None] = lambda stage: None,
-) -> SmootherResult:
+) -> SmootherEvidence:
     """The relinearised smoother, the EKF's estimate being one of its starts.
 
     Raises InputError for options that the problem does not allow.
@@ -215,7 +215,7 @@ def smooth_problem(
     guesses: Mapping[str, tuple[Array, Array]],
     progress: Callable[[str], None],
     options: SmootherOptions,
-) -> SmootherResult:
+) -> SmootherEvidence:
     """Call smooth; raise InputError for options that the problem does not allow."""
     try:
         return smooth(problem, guesses, progress, options)
@@ -224,7 +224,7 @@ def smooth_problem(
 
 
 def smoothed_estimate(
-    result: SmootherResult,
+    result: SmootherEvidence,
     time_s: Array,
     landmark_id: NDArray[np.int64],
     association: str,

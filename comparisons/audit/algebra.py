@@ -30,8 +30,8 @@ from comparisons.audit.faults import (
     name_gain,
 )
 from comparisons.audit.replay import (
+    BlockLayout,
     Fused,
-    Layout,
     LongFormReplay,
     Replay,
     Unlike,
@@ -47,10 +47,10 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Reset,
     Snapshot,
+    TracePrior,
     Update,
 )
 
@@ -95,7 +95,7 @@ _OF_EVENTS = ("noise", "use", "covariance", "algebra", "correction", "gain")
 
 
 @dataclass(frozen=True)
-class Finding:
+class AuditFinding:
     """What the audit found.
 
     Attributes:
@@ -161,8 +161,8 @@ class AlgebraCheck:
         self._known: set[str] = set()
         self._searched = 0
         self._broken: set[str] = set()
-        self._found: dict[str, tuple[Finding, float | None, int, float]] = {}
-        self._pending: list[tuple[Finding, str]] = []
+        self._found: dict[str, tuple[AuditFinding, float | None, int, float]] = {}
+        self._pending: list[tuple[AuditFinding, str]] = []
         self._start: Replay | None = None
         self._kept: list[Event] = []
         self._first: list[Event] = []
@@ -193,7 +193,7 @@ class AlgebraCheck:
             self._since = f"the snapshot at event {event.number}"
             return None
         self._last = event
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             self.replay = Replay(event)
             if self.known:
                 self._restart()
@@ -222,16 +222,16 @@ class AlgebraCheck:
         sensor = event.sensor if isinstance(event, Update) else None
         text = f"{name_of(event)}: {what}"
         number = event.number
-        self.add(Finding("noise", True, text, number, sensor=sensor), what, float("inf"))
+        self.add(AuditFinding("noise", True, text, number, sensor=sensor), what, float("inf"))
         self.known = self.sound = False
         self._start, self._kept = None, []
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             return event._replace(covariance=np.eye(len(event.covariance)))
         if isinstance(event, Predict | Update | Augment):
             return event._replace(noise=np.eye(len(event.noise)))
         return event
 
-    def add(self, finding: Finding, kind: str, weight: float = 0.0) -> None:
+    def add(self, finding: AuditFinding, kind: str, weight: float = 0.0) -> None:
         """Keep the first finding of a kind, and count the others.
 
         weight: of a finding that is not of one event; what weighs more goes first. Negative of one
@@ -249,9 +249,9 @@ class AlgebraCheck:
             text = f"all resets are the identity, though {self._resets.largest:.2g} is corrected "
             text += "before them: is the Jacobian made after the correction is set to zero?"
             number = self._resets.first
-            self.add(Finding("covariance", False, text, number), "resets")
+            self.add(AuditFinding("covariance", False, text, number), "resets")
 
-    def findings(self, *, timed: bool = False) -> tuple[Finding, ...]:
+    def findings(self, *, timed: bool = False) -> tuple[AuditFinding, ...]:
         """Return findings, faults first, those of one event's algebra before the others by weight.
 
         What is slight goes last. timed: with the time at which each is first seen, where events
@@ -291,7 +291,7 @@ class AlgebraCheck:
             what = (self._name(event, before, one) if one.kind else None) or one.what
             text = f"{name_of(event)} {what}"
             check = "correction" if one.fault else "gain"
-            finding = Finding(
+            finding = AuditFinding(
                 check, one.fault, text, event.number, sensor=event.sensor, blocks=one.blocks
             )
             kind = one.kind if what == one.what and one.kind else what
@@ -319,7 +319,7 @@ class AlgebraCheck:
         text = f"{name_of(event)} makes {', '.join(names)} less certain by its gain"
         if fault := factor > 1.0 + self.tolerance:
             text += f", which leaves {factor:.3g} times the error of what is measured: it diverges"
-        finding = Finding("gain", fault, text, event.number, sensor=event.sensor, blocks=names)
+        finding = AuditFinding("gain", fault, text, event.number, sensor=event.sensor, blocks=names)
         self._pending.append((finding, f"less certain {fault}"))
 
     def _name(self, event: Update, before: Array, unlike: Unlike) -> str | None:
@@ -351,7 +351,7 @@ class AlgebraCheck:
         """Compare a snapshot with the recursion, which goes on from it where it is wrong."""
         if not np.isfinite(snapshot.covariance).all():
             text, number = f"{name_of(self._last)} leads to no finite covariance", snapshot.number
-            self.add(Finding("covariance", True, text, number), "not finite")
+            self.add(AuditFinding("covariance", True, text, number), "not finite")
             return
         at = self.replay.layout.columns(snapshot.blocks)
         recorded, right = snapshot.covariance, self.replay.covariance[at][:, at]
@@ -537,7 +537,7 @@ class AlgebraCheck:
         self._pending = [one for one in self._pending if one[0].event not in self._open]
         for event in self._open.values():
             text = f"{name_of(event)} corrects by another gain than Kalman's, {tail}"
-            finding = Finding("gain", False, text, event.number, sensor=event.sensor)
+            finding = AuditFinding("gain", False, text, event.number, sensor=event.sensor)
             self.add(finding, f"not recorded, {tail}")
             self.optimal = False
         self._open = {}
@@ -552,10 +552,10 @@ class AlgebraCheck:
         if recorded is not None:
             self._start.covariance = 0.5 * (recorded + recorded.T)
 
-    def _invalid(self, snapshot: Snapshot, cause: Finding | None = None) -> None:
+    def _invalid(self, snapshot: Snapshot, cause: AuditFinding | None = None) -> None:
         """Add that a covariance is invalid. cause: what is known of where it became so."""
         number = snapshot.number
-        cause = cause or Finding("covariance", True, "", number)
+        cause = cause or AuditFinding("covariance", True, "", number)
         for what in self._invalidity(snapshot):
             text = f"the covariance at event {number} {what}"
             self.add(replace(cause, check="covariance", text=text), what[:12])
@@ -580,8 +580,8 @@ class AlgebraCheck:
         match event:
             case Predict():
                 self._set(event.blocks, event.after)
-            case Prior() if event.point is not None:
-                self._numbers = _parts(event.point, Layout(event.blocks, event.dims))
+            case TracePrior() if event.point is not None:
+                self._numbers = _parts(event.point, BlockLayout(event.blocks, event.dims))
             case Augment():
                 self._numbers.pop(event.name, None)
                 if event.after is not None and len(event.after) == len(event.jacobian):
@@ -632,7 +632,7 @@ class AlgebraCheck:
             last, names = self._last, ", ".join(wrong)
             text = f"{name_of(last)}: the estimate of {names} is off by {largest:.2g} sigma"
             sensor = last.sensor if isinstance(last, Update) else None
-            finding = Finding(
+            finding = AuditFinding(
                 "correction", True, text, last.number, sensor=sensor, blocks=tuple(wrong)
             )
             self.add(finding, f"estimate after {type(last).__name__}")
@@ -644,7 +644,7 @@ class AlgebraCheck:
         if any(matrix is not None and _is_single(matrix) for matrix in matrices):
             self._proposed = True
             text = f"the filter is in single precision: audit it with --tolerance {_SINGLE:g}"
-            self.add(Finding("precision", False, text, number), "single")
+            self.add(AuditFinding("precision", False, text, number), "single")
 
     def _localise(self, snapshot: Snapshot, weight: float) -> bool:
         """Say where and how a snapshot became wrong. weight: negative where that is slight.
@@ -659,7 +659,7 @@ class AlgebraCheck:
         if self._start is None or self._searched > MOST_SEARCHED:
             self._pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
-            self.add(Finding("algebra", True, text, snapshot.number), "unknown")
+            self.add(AuditFinding("algebra", True, text, snapshot.number), "unknown")
             self._invalid(snapshot)
             return True
         start = self._remembering(self._start)
@@ -687,11 +687,11 @@ class AlgebraCheck:
             self._invalid(snapshot, finding)
         return True
 
-    def _is_of_open(self, cause: Cause) -> bool:
+    def _is_of_open(self, cause: AlgebraCause) -> bool:
         """Whether a cause is a gain that a correction tells; others presume Kalman's."""
         return bool(cause.kind) and cause.event is not None and cause.event.number in self._open
 
-    def _explain(self, cause: Cause) -> None:
+    def _explain(self, cause: AlgebraCause) -> None:
         """Leave out the gain that is named with the covariance."""
         if cause.event is None:
             return
@@ -705,7 +705,7 @@ class AlgebraCheck:
             self.optimal = self.optimal and len(kept) == len(self._pending)
             self._pending = kept
 
-    def _add_cause(self, finding: Finding, kind: str, weight: float) -> None:
+    def _add_cause(self, finding: AuditFinding, kind: str, weight: float) -> None:
         """Keep a cause; the second event of a kind has the first as the one before it."""
         twin = re.sub(r"of the first (\w+)", r"of the \1 before", kind)
         key = f"{finding.check}|{finding.sensor}|{twin}"
@@ -715,21 +715,21 @@ class AlgebraCheck:
             self._found[f"{finding.check}|{finding.sensor}|{kind}"] = old, seen_s, count, most
         self.add(finding, kind or "unknown", weight)
 
-    def _finding(self, cause: Cause, snapshot: Snapshot) -> Finding:
+    def _finding(self, cause: AlgebraCause, snapshot: Snapshot) -> AuditFinding:
         check = "gain" if cause.sound else "algebra"
         event = cause.event
         if event is None and not self._kept:
             text = f"{name_of(snapshot)}: {cause.what}, with no event between it and {self._since}"
-            return Finding(check, True, text, snapshot.number, blocks=cause.blocks)
+            return AuditFinding(check, True, text, snapshot.number, blocks=cause.blocks)
         if event is None:
             first, last = self._kept[0].number, snapshot.number
             text = f"between events {first} and {last}, {cause.what}"
-            return Finding(check, True, text, first, blocks=cause.blocks)
+            return AuditFinding(check, True, text, first, blocks=cause.blocks)
         sensor = event.sensor if isinstance(event, Update) else None
         later = f" here and at later {name_of(event).split()[0]}s"
         tail = later if cause.repeated and not cause.sound else ""
         text = f"{name_of(event)}: {cause.what}{tail}"
-        return Finding(
+        return AuditFinding(
             check, not cause.sound, text, event.number, sensor=sensor, blocks=cause.blocks
         )
 
@@ -792,14 +792,14 @@ def _least(scaled: Array, allowed: float) -> float:
     return allowed
 
 
-def _parts(numbers: Array, layout: Layout) -> dict[str, Array]:
+def _parts(numbers: Array, layout: BlockLayout) -> dict[str, Array]:
     """Return the numbers of each block; none where there are not as many as its errors have."""
     if len(numbers) != layout.size:
         return {}
     return {name: numbers[layout.entries(name)] for name in layout.dims}
 
 
-class Cause(NamedTuple):
+class AlgebraCause(NamedTuple):
     """event: which; None where it is one of several. what: the error, as a predicate of the event.
 
     blocks: which it is of. kind: of an error that gives the recorded covariance to rounding, empty
@@ -832,7 +832,7 @@ def name_of(event: Event) -> str:
             what = f"removal of {', '.join(f'`{b}`' for b in event.blocks)}"
         case Reset():
             what = "reset"
-        case Prior():
+        case TracePrior():
             return "the prior"
         case Snapshot() | Directions():
             return f"event {event.number}"
@@ -846,7 +846,7 @@ def localise(
     tolerance: float,
     before: Collection[str] = (),
     least: Array | None = None,
-) -> Cause:
+) -> AlgebraCause:
     """Return the cause of a snapshot that is not as the events before it say.
 
     Args:
@@ -857,7 +857,7 @@ def localise(
         before: Kinds of errors that explained earlier ones; they are tried first.
         least: (n,) variances that are rounding.
     """
-    changing = [e for e in events if not isinstance(e, Snapshot | Directions | Prior)]
+    changing = [e for e in events if not isinstance(e, Snapshot | Directions | TracePrior)]
     plain = start.copy()
     for event in changing:
         plain.apply(event)
@@ -881,7 +881,7 @@ def localise(
         worst = covariance_gap(snapshot.covariance, right, units(right, right), SINGULAR).largest
         what += f", by {worst:.2g} along the direction that it is most certain of"
     blocks = tuple(dict.fromkeys(pair))
-    return Cause(changing[0] if len(changing) == 1 else None, what, blocks)
+    return AlgebraCause(changing[0] if len(changing) == 1 else None, what, blocks)
 
 
 class _Search:
@@ -906,7 +906,7 @@ class _Search:
         self.allowed, self.wrong = allowed, wrong
         self.left = 0
 
-    def run(self, only: Collection[str] | None) -> Cause | None:
+    def run(self, only: Collection[str] | None) -> AlgebraCause | None:
         """Return what explains the snapshot. only: none but errors of these kinds."""
         with np.errstate(all="ignore"):  # an error that is not the filter's may overflow
             for fitted in (False, True):
@@ -918,13 +918,13 @@ class _Search:
 
     def _first(
         self, only: Collection[str] | None, *, fitted: bool, from_first: bool
-    ) -> Cause | None:
+    ) -> AlgebraCause | None:
         """Return the first error that explains the snapshot, within what may be replayed.
 
         Of those with a number the simplest at the first event with any.
         """
         self.left = MOST_REPLAYED // 4
-        fits: list[tuple[int, Cause]] = []
+        fits: list[tuple[int, AlgebraCause]] = []
         for before, at, fault, repeated in self._tries(only, fitted=fitted, from_first=from_first):
             if fits and (fits[0][1].event is not self.events[at] or fault.general):
                 break
@@ -976,7 +976,7 @@ class _Search:
 
     def _explains(
         self, before: Remembering, at: int, fault: KnownFault, repeated: bool
-    ) -> tuple[int, Cause] | None:
+    ) -> tuple[int, AlgebraCause] | None:
         """Return the cause if an error gives the snapshot, and how many digits its number has."""
         found, count = fault, 0
         if fault.number is not None:
@@ -988,7 +988,7 @@ class _Search:
             return None
         repeated = repeated and not self._gives(before, at, found, False)
         kind = fault.kind or fault.what
-        cause = Cause(self.events[at], found.what, found.blocks, kind, found.sound, repeated)
+        cause = AlgebraCause(self.events[at], found.what, found.blocks, kind, found.sound, repeated)
         return count, cause
 
     def _gives(self, before: Remembering, at: int, fault: KnownFault, repeated: bool) -> bool:
@@ -1051,7 +1051,7 @@ def _wrong(scaled: Array, blocks: Blocks, dims: tuple[int, ...], allowed: float)
     return tuple(name for name, off in zip(blocks, parts, strict=True) if off.any())
 
 
-def _tied(causes: Sequence[Cause]) -> Cause:
+def _tied(causes: Sequence[AlgebraCause]) -> AlgebraCause:
     """Return the first of causes that all explain a snapshot, with the others in its words."""
     first = causes[0]
     others = [one.what for one in causes[1:] if one.repeated == first.repeated]

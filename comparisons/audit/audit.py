@@ -18,17 +18,17 @@ import numpy as np
 from pydantic import PlainSerializer
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.algebra import AlgebraCheck, Finding, name_of
+from comparisons.audit.algebra import AlgebraCheck, AuditFinding, name_of
 from comparisons.audit.consistency import (
     Anchors,
     BlockErrors,
-    Departure,
+    ConsistencyDeparture,
     EventInnovations,
     Smoothed,
     departures,
     first_error,
 )
-from comparisons.audit.replay import Fused, Layout, apart
+from comparisons.audit.replay import BlockLayout, Fused, apart
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
 from comparisons.audit.uses import MeasurementUse
 from comparisons.errors import InputError
@@ -41,13 +41,13 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Reset,
     Snapshot,
+    TracePrior,
     Update,
 )
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import EventSmoother
 
@@ -133,7 +133,7 @@ class Audit:
     blocks: Annotated[Mapping[str, int], PlainSerializer(lambda b: dict(islice(b.items(), 200)))]
     tolerance: float
     verdict: Verdict
-    findings: tuple[Finding, ...]
+    findings: tuple[AuditFinding, ...]
     largest_gap: AlgebraGap | None
     first_open: AlgebraGap | None
     gaps: tuple[AlgebraGap, ...]
@@ -174,7 +174,7 @@ def audit(path: str | Path, tolerance: float = ROUNDING, progress: Progress | No
     """
     if not 0.0 <= tolerance < math.inf:
         raise InputError(f"tolerance is {tolerance}, expected a finite number of 0 or more")
-    trace = Trace(Path(path))
+    trace = TraceReader(Path(path))
     with np.errstate(all="ignore"):  # a filter that has broken down may overflow anything
         return _Pass(trace, tolerance).run(progress or (lambda stage, done, of: None))
 
@@ -182,7 +182,7 @@ def audit(path: str | Path, tolerance: float = ROUNDING, progress: Progress | No
 class _Pass:
     """One way through the events."""
 
-    def __init__(self, trace: Trace, tolerance: float) -> None:
+    def __init__(self, trace: TraceReader, tolerance: float) -> None:
         self.trace, self.tolerance = trace, tolerance
         self.unsolved: int | None = None
         self.algebra = AlgebraCheck(tolerance)
@@ -190,7 +190,7 @@ class _Pass:
         self.innovations = EventInnovations(trace.sensors)
         self.uses = MeasurementUse(trace.sensors)
         self.anchors = Anchors()
-        self.prior: Prior
+        self.prior: TracePrior
         self.errors: BlockErrors
         self.blocks: dict[str, int] = {}
         self.gaps: list[AlgebraGap] = []
@@ -219,7 +219,7 @@ class _Pass:
         self._name_spurious(spurious)
         for name, one in self.innovations.turned():
             text = f"sensor `{name}`: {one.what}"
-            finding = Finding("innovations", True, text, one.event, sensor=name)
+            finding = AuditFinding("innovations", True, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, one.weight)
         for figures in sensors:
             self._judge_innovations(figures, level)
@@ -277,17 +277,17 @@ class _Pass:
                     self._solve(event, fused)
             case Snapshot():
                 self._snapshot(event)
-            case Prior():
+            case TracePrior():
                 self.prior = event
                 self.blocks = dict(zip(event.blocks, event.dims, strict=True))
-                self.errors = BlockErrors(Layout(event.blocks, event.dims))
+                self.errors = BlockErrors(BlockLayout(event.blocks, event.dims))
                 self.algebra.take(event, unsound)
                 if not unsound:
                     self._begin(event)
             case Directions() if self.unsolved is None:
                 self.spurious = SpuriousInformation(event, self.algebra.replay)
 
-    def _begin(self, prior: Prior) -> None:
+    def _begin(self, prior: TracePrior) -> None:
         """Begin least squares, and keep the beginning for what is smoothed back to it."""
         self.smoother = EventSmoother(prior.blocks, prior.dims, prior.covariance)
         if len(prior.covariance) <= LARGEST_ANCHORED:
@@ -314,7 +314,7 @@ class _Pass:
         for one in self.uses.take(event, fused, algebra.replay.layout, sound=sound):
             update = one.update
             text = f"{name_of(update)} {one.what}"
-            finding = Finding("use", True, text, update.number, sensor=update.sensor)
+            finding = AuditFinding("use", True, text, update.number, sensor=update.sensor)
             algebra.add(finding, one.kind)
 
     def _solve(self, event: Event, fused: Fused | None) -> None:
@@ -389,7 +389,7 @@ class _Pass:
         name = figures.sensor
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
-            self.algebra.add(Finding("innovations", True, text, None, sensor=name), "unusable")
+            self.algebra.add(AuditFinding("innovations", True, text, None, sensor=name), "unusable")
         found = departures(figures, level)
         weight = max((one.weight for one in found), default=0.0)  # a sensor's go together
         for one in found:
@@ -397,7 +397,7 @@ class _Pass:
             if not self.algebra.optimal:
                 text += "; its bands are those of Kalman's gain"
             fault = self.algebra.optimal and one.fault
-            finding = Finding("innovations", fault, text, one.event, sensor=name)
+            finding = AuditFinding("innovations", fault, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, weight)
 
     def _judge_smoother(self, found: Averaged | None, level: float) -> None:
@@ -405,23 +405,23 @@ class _Pass:
             low, high = found.band
             text = f"filter minus smoother is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
             weight = _CONSEQUENCE * rarity(found.mean, found.dof)
-            finding = Finding("smoother", self.algebra.optimal, text, found.worst)
+            finding = AuditFinding("smoother", self.algebra.optimal, text, found.worst)
             self.algebra.add(finding, text, weight)
 
     def _judge_errors(self, nees: Mapping[str, Averaged], smoothed: Smoothed, level: float) -> None:
         """Judge errors by the truth, and the first one, which all measurements tell without it."""
         for one in self.errors.departures(nees, level):
-            finding = Finding("nees", True, one.what, one.event)
+            finding = AuditFinding("nees", True, one.what, one.event)
             self.algebra.add(finding, one.what, _CONSEQUENCE * one.weight)
         first = self._first_error(smoothed, level)
         if first is not None:
-            finding = Finding("nees", self.algebra.optimal, first.what, first.event)
+            finding = AuditFinding("nees", self.algebra.optimal, first.what, first.event)
             self.algebra.add(finding, first.what, _CONSEQUENCE * first.weight)
 
-    def _first_error(self, smoothed: Smoothed, level: float) -> Departure | None:
+    def _first_error(self, smoothed: Smoothed, level: float) -> ConsistencyDeparture | None:
         """Judge the first error by P0: the recorded one, or else as least squares have it."""
         prior, before, first = self.prior, self.errors.before, smoothed.first
-        layout, p = Layout(prior.blocks, prior.dims), prior.covariance
+        layout, p = BlockLayout(prior.blocks, prior.dims), prior.covariance
         if before is not None and prior.number not in self.trace.unsound:
             return first_error(layout, p, before, np.zeros_like(p), level)
         if first is None or not self.algebra.sound:
@@ -437,5 +437,5 @@ class _Pass:
                     + ", which no measurement observes; the largest single gain is with "
                     f"{one.largest.sensor} at event {one.largest.event}"
                 )
-                finding = Finding("spurious", False, text, one.largest.event)
+                finding = AuditFinding("spurious", False, text, one.largest.event)
                 self.algebra.add(finding, one.name)

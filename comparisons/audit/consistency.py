@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import bdtr, bdtrc, ndtr, rel_entr
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.replay import Fused, Layout, Replay
+from comparisons.audit.replay import BlockLayout, Fused, Replay
 from comparisons.innovations import (
     NO_SENSOR,
     Gating,
@@ -40,7 +40,7 @@ from comparisons.statistics import (
     stretch,
     two_sided,
 )
-from comparisons.trace.events import Augment, Event, Prior, Sensor, Snapshot, Update
+from comparisons.trace.events import Augment, Event, SensorDescription, Snapshot, TracePrior, Update
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import Link
 
@@ -82,7 +82,7 @@ class _Turned:
             if off and abs(innovation - off * turn) <= _NEAR * sigma < 0.25 * turn:
                 events.append(event)
 
-    def departure(self, name: str) -> Departure | None:
+    def departure(self, name: str) -> ConsistencyDeparture | None:
         """What to say of two or more."""
         for turn, events in self.events.items():
             count, far = len(events), self.far
@@ -94,14 +94,14 @@ class _Turned:
                     f"{count} innovations of {name} are {TURNS[turn]} off, or a multiple of "
                     "it: wrap the difference before it is gated and used"
                 )
-                return Departure(what, 0.0, events[0], events[-1], float("inf"))
+                return ConsistencyDeparture(what, 0.0, events[0], events[-1], float("inf"))
         return None
 
 
 class EventInnovations:
     """Innovations of all sensors, as the events come."""
 
-    def __init__(self, sensors: Mapping[str, Sensor]) -> None:
+    def __init__(self, sensors: Mapping[str, SensorDescription]) -> None:
         """Start empty. sensors: what is known of them."""
         self._sensors = sensors
         self._logs: dict[str, InnovationLog] = {}
@@ -115,7 +115,7 @@ class EventInnovations:
             self._landmarks[event.name] = len(self._initialised)
             self._initialised.append(int(event.numbers[0]))
 
-    def add(self, event: Update, fused: Fused, layout: Layout) -> None:
+    def add(self, event: Update, fused: Fused, layout: BlockLayout) -> None:
         """Add a measurement, or several that are one update."""
         log = self._logs.get(event.sensor)
         if log is None:
@@ -149,7 +149,7 @@ class EventInnovations:
         """Judge all sensors."""
         return tuple(log.judge(self._initialised) for log in self._logs.values())
 
-    def turned(self) -> list[tuple[str, Departure]]:
+    def turned(self) -> list[tuple[str, ConsistencyDeparture]]:
         """Return sensors whose innovations are whole turns off, and what to say of each."""
         found = []
         for (name, i), one in self._turned.items():
@@ -159,7 +159,7 @@ class EventInnovations:
                 found.append((name, said))
         return found
 
-    def _seen(self, event: Update, layout: Layout, count: int) -> Index:
+    def _seen(self, event: Update, layout: BlockLayout, count: int) -> Index:
         """Which landmark each measurement (count,) is of; -1 where it is of none, or of two."""
         index = np.array([self._landmarks.get(name, -1) for name in event.blocks], dtype=np.intp)
         starts = np.cumsum([0, *(layout.dims[name] for name in event.blocks[:-1])])
@@ -169,13 +169,13 @@ class EventInnovations:
 
 
 def event_innovations(
-    events: Iterable[Event], sensors: Mapping[str, Sensor]
+    events: Iterable[Event], sensors: Mapping[str, SensorDescription]
 ) -> tuple[SensorInnovations, ...]:
     """Return the innovations of all events, by sensor."""
     found = EventInnovations(sensors)
     replay: Replay
     for event in events:
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             replay = Replay(event)
             continue
         fused = replay.apply(event)
@@ -246,14 +246,14 @@ class BlockErrors:
     layout: of the prior. before: the error before any event but snapshots, if it was recorded.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: BlockLayout) -> None:
         """Start empty."""
         names = list(layout.dims)[:_MOST_BLOCKS]
         self._names = names if len(layout.dims) > 1 else []
         self._rows: dict[str, list[tuple[int, float, float, int]]] = defaultdict(list)
         self.before: Array | None = None
 
-    def add(self, snapshot: Snapshot, error: Array, layout: Layout) -> None:
+    def add(self, snapshot: Snapshot, error: Array, layout: BlockLayout) -> None:
         """Add a snapshot's error (n,). layout: of its state."""
         if faults(snapshot.covariance[None])[0] == "":
             self._add("", snapshot, error, slice(None))
@@ -283,7 +283,9 @@ class BlockErrors:
                 found[name] = average
         return found
 
-    def departures(self, averages: Mapping[str, Averaged], level: float) -> list[Departure]:
+    def departures(
+        self, averages: Mapping[str, Averaged], level: float
+    ) -> list[ConsistencyDeparture]:
         """Return what departs: the state and the block that is off most, or else a stretch.
 
         Args:
@@ -300,7 +302,9 @@ class BlockErrors:
             return [self._departure(f"NEES of block `{worst}`", blocks[worst], worst, None)]
         return [] if "" not in averages else self._stretch(averages[""], 0.25 * level)
 
-    def _departure(self, what: str, one: Averaged, begins: str, of: Averaged | None) -> Departure:
+    def _departure(
+        self, what: str, one: Averaged, begins: str, of: Averaged | None
+    ) -> ConsistencyDeparture:
         """Say that an average is off. begins: the block whose errors tell since when. of: its."""
         (low, high), rows = one.band, self._rows[begins]
         average = of or one
@@ -311,11 +315,11 @@ class BlockErrors:
         more = f"; of block `{begins}` {of.mean:.3g}" if of is not None else ""
         text = f"{what} per degree of freedom is {one.mean:.3g}, expected {low:.3g} to {high:.3g}"
         event = rows[first][0]
-        return Departure(
+        return ConsistencyDeparture(
             f"{text}{more}, {since}", one.p_value, event, None, rarity(one.mean, one.dof)
         )
 
-    def _stretch(self, whole: Averaged, level: float) -> list[Departure]:
+    def _stretch(self, whole: Averaged, level: float) -> list[ConsistencyDeparture]:
         """The first stretch of the run that leaves its band, which all of it hides."""
         rows = self._rows[""]
         each = whole.dof / (_IN_STRETCH * rows[0][3])
@@ -333,13 +337,13 @@ class BlockErrors:
                     f"NEES per degree of freedom is {mean:.3g} from {first} to {last}, expected 1"
                 )
                 event, until = some[0][0], some[-1][0]
-                return [Departure(text, p, event, until, rarity(mean, dof))]
+                return [ConsistencyDeparture(text, p, event, until, rarity(mean, dof))]
         return []
 
 
 def first_error(
-    layout: Layout, prior: Array, error: Array, left: Array, level: float
-) -> Departure | None:
+    layout: BlockLayout, prior: Array, error: Array, left: Array, level: float
+) -> ConsistencyDeparture | None:
     """Return the block whose first error is farthest beyond P0, where chance hardly makes it.
 
     Args:
@@ -353,7 +357,7 @@ def first_error(
     layout = layout.of(names)
     some = slice(layout.size)
     prior, error, left = prior[some, some], error[some], left[some, some]
-    found: Departure | None = None
+    found: ConsistencyDeparture | None = None
     row = 0
     for name in names:
         part = layout.entries(name)
@@ -368,7 +372,7 @@ def first_error(
         gained = np.sqrt(np.maximum((prior - left).diagonal()[part], 0.0))
         sigmas = np.abs(error[part]) / np.where(gained > 0.0, gained, np.inf)
         row = part.start + int(np.argmax(sigmas))
-        found = Departure("", p, 0, None, weight)
+        found = ConsistencyDeparture("", p, 0, None, weight)
     if found is None:
         return None
     text = (
@@ -387,7 +391,7 @@ def first_error(
     )
 
 
-def _exchanges(layout: Layout, row: int) -> Iterator[Index]:
+def _exchanges(layout: BlockLayout, row: int) -> Iterator[Index]:
     """Yield orders of the entries: a row exchanged with each other, its block with its likes."""
     rows = np.arange(layout.size)
     own = layout.entries(layout.holder(row))
@@ -400,7 +404,7 @@ def _exchanges(layout: Layout, row: int) -> Iterator[Index]:
         yield order
 
 
-def _exchanged(layout: Layout, order: Index) -> str:
+def _exchanged(layout: BlockLayout, order: Index) -> str:
     """Name the two rows, or blocks, that an order exchanges."""
     moved = np.flatnonzero(order != np.arange(len(order)))
     names = dict.fromkeys(
@@ -410,14 +414,14 @@ def _exchanged(layout: Layout, order: Index) -> str:
     return " and ".join(names)
 
 
-def _entry(layout: Layout, row: int) -> str:
+def _entry(layout: BlockLayout, row: int) -> str:
     """Name an entry of the state."""
     name = layout.holder(row)
     of = f"block `{name}`"
     return of if layout.dims[name] == 1 else f"entry {row - layout.start[name]} of {of}"
 
 
-class Departure(NamedTuple):
+class ConsistencyDeparture(NamedTuple):
     """A figure that a sound filter leaves rarely. p_value: two-sided. event: where it begins.
 
     weight: how rare it is, as `rarity` has it; p-values of what is far off are all zero. fault: it
@@ -432,7 +436,7 @@ class Departure(NamedTuple):
     fault: bool = True
 
 
-def departures(one: SensorInnovations, level: float) -> list[Departure]:
+def departures(one: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
     """Return what departs of a sensor, the rarest first.
 
     Where all its innovations depart, they do so from the first stretch on that does.
@@ -459,7 +463,7 @@ def departures(one: SensorInnovations, level: float) -> list[Departure]:
     return sorted(found, key=lambda each: -each.weight)
 
 
-def _mean(nis: Nis, one: SensorInnovations, level: float) -> list[Departure]:
+def _mean(nis: Nis, one: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
     whole = nis is one.nis[0]
     dof = float(one.dof.sum()) if whole else float(nis.count)
     p = _chance(nis.mean * nis.count, dof, one.least)
@@ -469,7 +473,7 @@ def _mean(nis: Nis, one: SensorInnovations, level: float) -> list[Departure]:
     what = "NIS" if whole else f"NIS of {nis.name}"
     text = f"{what} is {_word(nis.mean, right)}: {nis.mean:.3g}, expected {right:.3g}"
     weight = rarity(nis.mean / right, dof)
-    return [Departure(text, p, weight=_WHOLE * weight if whole else weight)]
+    return [ConsistencyDeparture(text, p, weight=_WHOLE * weight if whole else weight)]
 
 
 def _chance(total: float, dof: float, least: float) -> float:
@@ -477,25 +481,27 @@ def _chance(total: float, dof: float, least: float) -> float:
     return two_sided(total if total >= dof else min(total / least, dof), dof)
 
 
-def _bias(column: Array, label: str, level: float) -> list[Departure]:
+def _bias(column: Array, label: str, level: float) -> list[ConsistencyDeparture]:
     z = float(column.sum() / np.sqrt(len(column)))
     p = float(2.0 * ndtr(-abs(z)))
     if p >= level:
         return []
     text = f"mean of {label} is {column.mean():+.3g} sigma, expected 0"
-    return [Departure(text, p, weight=0.5 * z**2)]
+    return [ConsistencyDeparture(text, p, weight=0.5 * z**2)]
 
 
-def _white(series: Whiteness, level: float) -> list[Departure]:
+def _white(series: Whiteness, level: float) -> list[ConsistencyDeparture]:
     if series.order != "time" or series.p_value >= level:
         return []
     text = f"{series.component} is correlated in time: {series.autocorrelation[0]:+.2f} at lag 1"
     squared = [(2.0 * c / b) ** 2 for c, b in zip(series.autocorrelation, series.band, strict=True)]
     weight = rarity(sum(squared) / len(squared), len(squared))
-    return [Departure(text, series.p_value, weight=weight)]
+    return [ConsistencyDeparture(text, series.p_value, weight=weight)]
 
 
-def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> list[Departure]:
+def _in_windows(
+    one: SensorInnovations, windows: list[Index], level: float
+) -> list[ConsistencyDeparture]:
     """The first stretch that leaves its band, with the event at which it begins to."""
     out = []
     for part in windows:
@@ -513,10 +519,10 @@ def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> l
         f"{mean:.3g}, expected {right:.3g}"
     )
     until, weight = int(one.event[last[-1]]), rarity(mean / right, float(one.dof[part].sum()))
-    return [Departure(text, p, int(one.event[start]), until, weight)]
+    return [ConsistencyDeparture(text, p, int(one.event[start]), until, weight)]
 
 
-def _gating(gating: Gating, level: float) -> list[Departure]:
+def _gating(gating: Gating, level: float) -> list[ConsistencyDeparture]:
     """How often the gate rejects, and its longest series of rejections; one where both depart."""
     rate = None if gating.passes is None else _rate(gating, 1.0 - gating.passes, level)
     series = _series(gating, _OF_SERIES * level)
@@ -527,7 +533,7 @@ def _gating(gating: Gating, level: float) -> list[Departure]:
     return [one for one in (rate, series) if one is not None]
 
 
-def _rate(gating: Gating, nominal: float, level: float) -> Departure | None:
+def _rate(gating: Gating, nominal: float, level: float) -> ConsistencyDeparture | None:
     """The rate of rejections against its nominal, by the binomial distribution.
 
     Where instants have several measurements, also by how these are rejected together.
@@ -547,10 +553,10 @@ def _rate(gating: Gating, nominal: float, level: float) -> Departure | None:
     start = int(gating.event[onset(gating.rejected.astype(float), rate, nominal)])
     text = f"rejects {rejected:,} of {n:,} ({100.0 * rate:.2g} %, nominal {100.0 * nominal:.2g} %)"
     weight = n * float(rel_entr(rate, nominal) + rel_entr(1.0 - rate, 1.0 - nominal))
-    return Departure(text, p, start, weight=weight)
+    return ConsistencyDeparture(text, p, start, weight=weight)
 
 
-def _series(gating: Gating, level: float) -> Departure | None:
+def _series(gating: Gating, level: float) -> ConsistencyDeparture | None:
     """The longest unbroken series of rejections, where chance hardly makes it: a lock-out.
 
     Of a gate that is not declared one that lasts to the end, which is no fault by itself.
@@ -567,7 +573,7 @@ def _series(gating: Gating, level: float) -> Departure | None:
         text = f"rejects everything from {first} on, {end - start:,} in a row"
     begins, until = int(gating.event[start]), int(gating.event[end - 1])
     weight = -float(np.log(n) + instants * np.log(nominal))
-    return Departure(text, p, begins, until, weight, declared)
+    return ConsistencyDeparture(text, p, begins, until, weight, declared)
 
 
 def _named(event: int, time_s: float) -> str:

@@ -26,9 +26,9 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Snapshot,
+    TracePrior,
     Update,
 )
 from ekf_reference.core.ekf import Ekf
@@ -83,7 +83,7 @@ def sound_recursion(run: EkfRun) -> tuple[Array, Array] | None:
     """
     last: Event | None = None
     for event in run_events(run):
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             short, others = ShortFormReplay(event), (Replay(event), LongFormReplay(event))
         fused, last = short.apply(event), event
         if isinstance(event, Update) and fused is not None:
@@ -141,7 +141,7 @@ def distances_of(run: EkfRun, log: Log) -> tuple[Array, Array]:
     events, made = _Events(run), 0
     before, alone = np.full(len(index), np.nan), np.full(len(index), np.nan)
     for event, _, mean, replay in _means(run):
-        at_turn = not isinstance(event, Prior | Predict)
+        at_turn = not isinstance(event, TracePrior | Predict)
         if isinstance(event, Predict):
             made += 1
         rows = np.flatnonzero(step == made)
@@ -173,7 +173,7 @@ def _means(run: EkfRun) -> Iterator[tuple[Event, slice, Array, Replay]]:
     events, mean = _Events(run), run.trace.prior_pose.copy()
     replay: Replay
     for event in events.all():
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             replay = Replay(event)
             yield event, events.rows, mean, replay
             continue
@@ -341,7 +341,7 @@ class _Events:
         trace = self._run.trace
         p = trace.prior_pose
         charts = ("se2",) if len(p) == _PLANAR else ()
-        yield Prior(*self._next(), (VEHICLE,), (len(p),), trace.prior_covariance, p, charts)
+        yield TracePrior(*self._next(), (VEHICLE,), (len(p),), trace.prior_covariance, p, charts)
         if not (trace.initialisations[POINT].number < 0).any():
             basis = np.column_stack(tuple(_directions(p).values()))
             blind = (*SENSORS.values(), MERGES)

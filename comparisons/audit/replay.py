@@ -23,10 +23,10 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Reset,
     Snapshot,
+    TracePrior,
     Update,
 )
 
@@ -38,7 +38,7 @@ _NAMED = 3
 """Blocks that are named even where they are all."""
 
 
-class Layout:
+class BlockLayout:
     """Which entries of the error state every block has; new blocks come last."""
 
     def __init__(self, blocks: Blocks = (), dims: Sequence[int] = ()) -> None:
@@ -88,10 +88,10 @@ class Layout:
         self._find()
         return np.flatnonzero(~gone)
 
-    def of(self, blocks: Iterable[str]) -> Layout:
+    def of(self, blocks: Iterable[str]) -> BlockLayout:
         """Return the layout of some blocks alone, in their order."""
         names = tuple(blocks)
-        return Layout(names, [self.dims[name] for name in names])
+        return BlockLayout(names, [self.dims[name] for name in names])
 
 
 class Fused(NamedTuple):
@@ -122,9 +122,9 @@ class Replay:
     The mean is zero as long as the filter corrects its estimate as its gains say.
     """
 
-    def __init__(self, prior: Prior) -> None:
+    def __init__(self, prior: TracePrior) -> None:
         """Start where the filter did."""
-        self.layout = Layout(prior.blocks, prior.dims)
+        self.layout = BlockLayout(prior.blocks, prior.dims)
         self.covariance = prior.covariance.copy()
         self.mean = np.zeros(len(self.covariance))
 
@@ -150,7 +150,7 @@ class Replay:
                 self.remove(event.blocks)
             case Reset():
                 self.predict(event.blocks, event.jacobian, None)
-            case Snapshot() | Directions() | Prior():
+            case Snapshot() | Directions() | TracePrior():
                 pass
         return None
 
@@ -260,7 +260,7 @@ class LongFormReplay(Replay):
     def of(cls, other: Replay) -> LongFormReplay:
         """Return one that goes on from another."""
         dims = other.layout.dims
-        prior = Prior(0, None, tuple(dims), tuple(dims.values()), other.covariance)
+        prior = TracePrior(0, None, tuple(dims), tuple(dims.values()), other.covariance)
         return cls(prior)
 
     def fuse(self, event: Update, gain: Array) -> None:
@@ -305,7 +305,7 @@ class Unlike(NamedTuple):
 
 
 def check_gain(
-    event: Update, fused: Fused, sigma: Array, layout: Layout, tolerance: float
+    event: Update, fused: Fused, sigma: Array, layout: BlockLayout, tolerance: float
 ) -> list[Unlike]:
     """Return what is unlike Kalman in an update that was used.
 
@@ -327,7 +327,7 @@ def check_gain(
 
 
 def _gain(
-    event: Update, fused: Fused, unit: Array, layout: Layout, tolerance: float
+    event: Update, fused: Fused, unit: Array, layout: BlockLayout, tolerance: float
 ) -> list[Unlike]:
     """The columns are compared times the innovation's root, in sigmas of the state."""
     assert event.gain is not None  # noqa: S101 - asked for above
@@ -370,7 +370,7 @@ def noise_factor(gain: Array, across: Array, spread: Array, noise: Array) -> flo
 
 
 def _correction(
-    event: Update, right: Array, unit: Array, layout: Layout, tolerance: float
+    event: Update, right: Array, unit: Array, layout: BlockLayout, tolerance: float
 ) -> list[Unlike]:
     assert event.correction is not None  # noqa: S101 - asked for above
     off = np.abs(event.correction - right) / unit
@@ -396,6 +396,6 @@ def _correction(
     return [Unlike(text, wrong, True)]
 
 
-def _blocks(off: Array, layout: Layout, allowed: float) -> Blocks:
+def _blocks(off: Array, layout: BlockLayout, allowed: float) -> Blocks:
     """Blocks with an entry that is off by more than allowed."""
     return tuple(b for b in layout.dims if off[layout.entries(b)].max() > allowed)

@@ -12,12 +12,12 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Snapshot,
+    TracePrior,
     Update,
 )
-from comparisons.trace.recorder import Begun, Measured, Recorder
+from comparisons.trace.recorder import AugmentationNotes, MeasurementNotes, Recorder
 
 
 def write_run(run: EkfRun, path: Path) -> None:
@@ -46,7 +46,7 @@ def write_event(event: Event, record: Recorder) -> None:
         record: A recorder that has recorded the events before.
     """
     match event:
-        case Prior():
+        case TracePrior():
             blocks = dict(zip(event.blocks, event.dims, strict=True))
             charts = dict(zip(event.blocks, event.charts, strict=False))
             record.prior(blocks, event.covariance, point=event.point, charts=charts)
@@ -57,12 +57,12 @@ def write_event(event: Event, record: Recorder) -> None:
             points = {"point": event.point, "after": event.after}
             record.predict(event.jacobian, event.noise, event.blocks, **points)
         case Augment():
-            begun: Begun = {"numbers": _needed(event.numbers), "weight": event.weight}
+            begun: AugmentationNotes = {"numbers": _needed(event.numbers), "weight": event.weight}
             begun |= {"point": _needed(event.point), "after": _needed(event.after)}
             g_x, g_z = event.jacobian, event.noise_jacobian
             record.augment(event.name, g_x, g_z, event.noise, event.blocks, **begun)
         case Update():
-            more: Measured = {"point": _needed(event.point), "weight": event.weight}
+            more: MeasurementNotes = {"point": _needed(event.point), "weight": event.weight}
             more["numbers"] = _needed(event.numbers)
             if event.correction is not None:
                 more["correction"] = event.correction

@@ -23,7 +23,7 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.replay import Layout, Replay
+from comparisons.audit.replay import BlockLayout, Replay
 from comparisons.figures import Aside, Figure
 from comparisons.shown import brief
 from comparisons.trace.events import (
@@ -33,9 +33,9 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Reset,
+    TracePrior,
     Update,
 )
 from graphslam.arrays import conditional_covariance
@@ -278,7 +278,7 @@ class _Stretch:
     its covariances. told: of each update, L^-1 H of the first a + d columns.
     """
 
-    def __init__(self, layout: Layout, covariance: Array, u: Array) -> None:
+    def __init__(self, layout: BlockLayout, covariance: Array, u: Array) -> None:
         self.before, self.layout = tuple(layout.dims), layout
         self.size = layout.size
         self.fixed = layout.size + u.shape[1]
@@ -344,7 +344,7 @@ class _Whole:
     Where a block that is gone was is room for another, so that N is about the most there ever was.
     """
 
-    def __init__(self, layout: Layout, covariance: Array, u: Array) -> None:
+    def __init__(self, layout: BlockLayout, covariance: Array, u: Array) -> None:
         self._covariance, self._u = covariance, u
         self._places = {name: np.arange(layout.size)[layout.entries(name)] for name in layout.dims}
         self._free: list[int] = []
@@ -353,7 +353,7 @@ class _Whole:
         """Return a stretch of those of the named blocks that there are."""
         blocks = tuple(name for name in named if name in self._places)
         at = self._entries(blocks)
-        layout = Layout(blocks, [len(self._places[name]) for name in blocks])
+        layout = BlockLayout(blocks, [len(self._places[name]) for name in blocks])
         return _Stretch(layout, self._covariance[np.ix_(at, at)], self._u[at])
 
     def take_over(self, stretch: _Stretch) -> None:
@@ -396,7 +396,7 @@ class _Whole:
             del self._free[:dim]
 
 
-def _telling(event: Update, told: Array, layout: Layout) -> Blocks:
+def _telling(event: Update, told: Array, layout: BlockLayout) -> Blocks:
     """Return the blocks of the measurement that told (m,) most, in rows that are of the same."""
     starts = np.cumsum([0, *(layout.dims[name] for name in event.blocks[:-1])])
     of = np.logical_or.reduceat(event.jacobian != 0.0, starts, axis=1)
@@ -410,7 +410,7 @@ def learnt(events: Iterable[Event]) -> Learnt | None:
     replay: Replay | None = None
     found: SpuriousInformation | None = None
     for event in events:
-        if isinstance(event, Prior):
+        if isinstance(event, TracePrior):
             replay = Replay(event)
         elif isinstance(event, Directions) and replay is not None:
             found = SpuriousInformation(event, replay)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import Fused, Layout
+from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.innovations import NO_SENSOR, InnovationLog
 from comparisons.statistics import chi2_quantile
-from comparisons.trace.events import Directions, Event, Sensor, Snapshot, Update
+from comparisons.trace.events import Directions, Event, SensorDescription, Snapshot, Update
 
 _SAME = 1e-9
 """Of a residual and of what a correction takes off it: rounding."""
@@ -48,7 +48,7 @@ class _Waiting(NamedTuple):
 class MeasurementUse:
     """Follows what updates do with measurements, as the events come."""
 
-    def __init__(self, sensors: Mapping[str, Sensor]) -> None:
+    def __init__(self, sensors: Mapping[str, SensorDescription]) -> None:
         """Start. sensors: what is known of them, gates among it."""
         self._sensors = sensors
         self._instant: list[_Waiting] = []
@@ -57,7 +57,7 @@ class MeasurementUse:
         self._widths: dict[str, InnovationLog] = {}
 
     def take(
-        self, event: Event, fused: Fused | None, layout: Layout, *, sound: bool
+        self, event: Event, fused: Fused | None, layout: BlockLayout, *, sound: bool
     ) -> Iterator[Contradiction]:
         """Yield how an event contradicts what was said.
 
@@ -128,7 +128,7 @@ class MeasurementUse:
             yield Contradiction(event, what, "fused again")
             return
 
-    def _wait(self, event: Update, fused: Fused, layout: Layout) -> None:
+    def _wait(self, event: Update, fused: Fused, layout: BlockLayout) -> None:
         """Keep an update, and take what it corrects off those that wait."""
         corrected = fused.applied
         waiting = [*self._instant[1 - _MOST_WAITING :], _Waiting(event, event.residual)]

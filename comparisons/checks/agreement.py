@@ -181,7 +181,7 @@ class Gap:
 NO_GAP = Gap(math.nan, math.nan)
 
 
-class Band(NamedTuple):
+class VarianceBand(NamedTuple):
     """Variances over the smoother's within which a block agrees."""
 
     least: float = LEAST_VARIANCE_RATIO
@@ -194,7 +194,7 @@ class Band(NamedTuple):
         )
 
 
-AGREEING = Band()
+AGREEING = VarianceBand()
 
 
 @cache
@@ -251,7 +251,7 @@ class BlockAgreement:
         difference: Array,
         smoother: Array,
         given: Array | None,
-        band: Band = AGREEING,
+        band: VarianceBand = AGREEING,
         among: int = 1,
         **own: Any,
     ) -> Self:

@@ -5,7 +5,7 @@ settings, give other partitions and other optima. Two partitions differ where it
 optima are apart by more than the optimum is uncertain. Such a variant speaks against the
 association, unless it explains the measurements worse; of several that find it elsewhere, none need
 explain them better. The figures are chosen by cross-validation over simulated sensors (see
-benchmarks/trust_association.py).
+research/trust/association.py).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.adapters.smoother_association import Alternative
+    from comparisons.adapters.smoother_association import AlternativeAssociation
 
 APART = 0.7
 """Root mean square distance of the poses, in sigma, from which a difference matters."""
@@ -153,7 +153,7 @@ def check_association(
     landmark_index: LandmarkIndices,
     time_s: Array,
     optimum: tuple[Array, Array, float, int],
-    others: Iterable[Alternative],
+    others: Iterable[AlternativeAssociation],
 ) -> AssociationCheck:
     """Compare an association with others of the same measurements.
 

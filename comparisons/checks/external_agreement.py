@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import LARGEST_DISTANCE, Band, BlockAgreement, LandmarkAgreement
+from comparisons.checks.agreement import (
+    LARGEST_DISTANCE,
+    BlockAgreement,
+    LandmarkAgreement,
+    VarianceBand,
+)
 from comparisons.checks.grade import MOST_LATE_S, eigenvalues, joint_rows, match_map
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -46,7 +51,7 @@ _NARROW = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class TimeCoverage:
     """How much of the log's time an estimate speaks of.
 
     span_s: begin and end of the smoother's path. first_s, last_s: of the poses given within it.
@@ -101,7 +106,7 @@ class Coverage:
 
 def coverage(
     given: tuple[Array, Array], smoothed: tuple[Array, Array], observed_s: Array, least: float = 0.0
-) -> Coverage:
+) -> TimeCoverage:
     """Return what an estimate's poses cover of the smoother's.
 
     Covered is what lies between two successive poses that are no farther apart than ten of the
@@ -125,7 +130,7 @@ def coverage(
     if len(t) >= _ENOUGH:
         moves = [not _stands(start, stop, t, epoch_s, path) for start, stop in holes.tolist()]
         holes = holes[np.array(moves, dtype=bool)]
-    return Coverage(
+    return TimeCoverage(
         span_s=(begin, end),
         first_s=float(t[0]),
         last_s=float(t[-1]),
@@ -169,7 +174,7 @@ class ExternalAgreement(Brief):
     landmark_id: NDArray[np.int64]
     landmarks: tuple[LandmarkAgreement, ...]
     unmatched: int
-    band: Band
+    band: VarianceBand
     against: tuple[str, ...]
 
 
@@ -222,7 +227,7 @@ def compare_external(
     rows, outside, end = match_map(given, smoothed, labelled=labelled), None, None
     if given.pose_covariance is not None:
         outside = _outside(difference, given.pose_covariance)
-    band, trusted = Band(_NARROW, 1.0 / _NARROW), {}
+    band, trusted = VarianceBand(_NARROW, 1.0 / _NARROW), {}
     for peer in peers:
         whole = _whole(peer, smoothed, labelled=labelled)
         trusted[peer.name] = whole is None or whole.agrees
@@ -264,13 +269,13 @@ def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgre
     return BlockAgreement.of(difference, smoothed.joint_covariance[np.ix_(own, own)], cover)
 
 
-def _widened(band: Band, peer: BlockAgreement | None) -> Band:
+def _widened(band: VarianceBand, peer: BlockAgreement | None) -> VarianceBand:
     """Linearisation may change variances by as much as it does in the reference filter."""
-    widest = Band()
+    widest = VarianceBand()
     if peer is None or not peer.ratios or not np.isfinite(peer.ratios[0]):
         return widest
     least, largest = peer.ratios
-    return Band(
+    return VarianceBand(
         max(widest.least, min(band.least, _NARROW * least)),
         min(widest.largest, max(band.largest, largest / _NARROW)),
     )
@@ -320,7 +325,7 @@ def _map_faults(
     return parts
 
 
-def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[str]:
+def _path_by_peer(given: ExternalEstimate, peer: Reference, band: VarianceBand) -> list[str]:
     """What is not plausible of a path beside that of a right estimate of its kind."""
     at, parts = peer.known, []
     own = peer.pose_covariance[at]
@@ -361,7 +366,7 @@ def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
 
 
 def _landmark_blocks(
-    given: ExternalEstimate, smoothed: Reference, rows: tuple[Index, Index], band: Band
+    given: ExternalEstimate, smoothed: Reference, rows: tuple[Index, Index], band: VarianceBand
 ) -> Iterator[LandmarkAgreement]:
     if given.landmark is None:
         return

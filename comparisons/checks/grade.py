@@ -35,7 +35,7 @@ _ROUNDED = 4.0
 """Times the rounding of the reference to single precision that is still equal to it."""
 
 
-class Part(NamedTuple):
+class EstimatePart(NamedTuple):
     """One part of an estimate against the reference's.
 
     sigma: (N,) of each pose or landmark, the largest difference of an entry by the reference's
@@ -70,7 +70,7 @@ class Likeness(Brief):
 
     reference: Reference
     grade: Literal["equal", "like"] | None
-    parts: tuple[Part, ...]
+    parts: tuple[EstimatePart, ...]
     missing: tuple[str, ...]
     unmapped: tuple[str, ...]
     ours: Index
@@ -196,7 +196,7 @@ def joint_pair(
     )
 
 
-def pose_part(given: ExternalEstimate, reference: Reference) -> Part:
+def pose_part(given: ExternalEstimate, reference: Reference) -> EstimatePart:
     """Compare the poses. given: these at the reference's times, and no others."""
     at = reference.known
     own = reference.pose_covariance[at]
@@ -207,7 +207,7 @@ def pose_part(given: ExternalEstimate, reference: Reference) -> Part:
         _mean_rounding(given.pose[:, :2], reference.pose[at], own),
         _covariance_rounding(cover, own),
     )
-    return Part("poses", in_sigma(difference, own), *ratios, rounding)
+    return EstimatePart("poses", in_sigma(difference, own), *ratios, rounding)
 
 
 def _started(given: Array, own: Array) -> Array:
@@ -218,24 +218,32 @@ def _started(given: Array, own: Array) -> Array:
     return np.where(exact[:, None, None], own, given)
 
 
-def _landmarks(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
+def _landmarks(
+    given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]
+) -> EstimatePart:
     ours, theirs = rows
     own = reference.landmark_covariances(theirs)
     theirs_at = reference.landmark[theirs]
     at = np.zeros((0, 2)) if given.landmark is None else given.landmark[ours]
     cover = None if given.landmark_covariance is None else given.landmark_covariance[ours]
     rounding = _mean_rounding(at, theirs_at, own), _covariance_rounding(cover, own)
-    return Part("landmarks", in_sigma(at - theirs_at, own), *eigenvalues(cover, own), rounding)
+    return EstimatePart(
+        "landmarks", in_sigma(at - theirs_at, own), *eigenvalues(cover, own), rounding
+    )
 
 
-def _joint(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
+def _joint(
+    given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]
+) -> EstimatePart:
     pair = joint_pair(given, reference, rows)
     if pair is None:
         none = np.zeros(0)
-        return Part("last pose and landmarks", none, none, none)
+        return EstimatePart("last pose and landmarks", none, none, none)
     first, second = pair[0][None], pair[1][None]
     rounding = 0.0, _covariance_rounding(first, second)
-    return Part("last pose and landmarks", np.zeros(1), *eigenvalues(first, second), rounding)
+    return EstimatePart(
+        "last pose and landmarks", np.zeros(1), *eigenvalues(first, second), rounding
+    )
 
 
 def _mean_rounding(stored: Array, mean: Array, covariance: Array) -> float:

@@ -19,7 +19,7 @@ MOST_OUTSIDE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pair:
+class MapPair:
     """Two maps of the same landmarks.
 
     Sigma is of the sum of both covariances, which is more than that of the difference where
@@ -42,7 +42,9 @@ class Pair:
     agrees: bool
 
     @classmethod
-    def of(cls, rms_m: float, rms_aligned_m: float, squared: Array, dof: int, outside: int) -> Pair:
+    def of(
+        cls, rms_m: float, rms_aligned_m: float, squared: Array, dof: int, outside: int
+    ) -> MapPair:
         """Return it from squared Mahalanobis distances (L,), each of so many degrees of freedom."""
         median = float(np.median(np.sqrt(squared / dof))) if len(squared) else None
         agrees = outside <= max(1.0, MOST_OUTSIDE * len(squared))
@@ -56,7 +58,7 @@ class Pair:
         )
 
 
-def compare_maps(first: Estimate, second: Estimate) -> Pair:
+def compare_maps(first: Estimate, second: Estimate) -> MapPair:
     """Landmarks that both have, by id. Raises ValueError when they share none."""
     _, i, j = np.intersect1d(
         first.landmark_id, second.landmark_id, assume_unique=True, return_indices=True
@@ -66,7 +68,7 @@ def compare_maps(first: Estimate, second: Estimate) -> Pair:
     a, b = first.landmark[i], second.landmark[j]
     total = first.landmark_covariances()[i] + second.landmark_covariances()[j]
     squared = squared_distance(a - b, total)
-    return Pair.of(
+    return MapPair.of(
         rms(a - b),
         rms(aligned(a, b) - b),
         squared,

@@ -21,7 +21,7 @@ _FEWEST = 4
 """Positions; fewer are fitted by anything."""
 
 
-class Seen(NamedTuple):
+class PositionObservations(NamedTuple):
     """Positions (N, 2) at times (N,), with the covariances (N, 2, 2) of what they differ by.
 
     antenna_m: where the log has it, forward and left of the pose.
@@ -41,7 +41,7 @@ class _Motion(NamedTuple):
     words: Callable[[Array], str]
 
 
-def position_fit(seen: Seen, path: Poses) -> str:
+def position_fit(seen: PositionObservations, path: Poses) -> str:
     """Return the motions that make positions fit a path, in words, with their figures.
 
     By weighted least squares, each motion alone. One explains them that leaves a chi-square in its
@@ -70,7 +70,7 @@ def position_fit(seen: Seen, path: Poses) -> str:
     return ", or ".join(words for _, left, words in sorted(found) if left <= least + _AS_LIKELY)
 
 
-def _motions(seen: Seen, path: Poses) -> list[_Motion]:
+def _motions(seen: PositionObservations, path: Poses) -> list[_Motion]:
     poses = path.at(seen.time_s)
     own = _antenna(poses, seen.antenna_m)
 

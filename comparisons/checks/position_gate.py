@@ -147,9 +147,11 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
     found = RejectedFixes(count, number, streaks(number), unfit)
     if not found.contradict:
         return found
-    from comparisons.checks.position_fit import Seen, position_fit
+    from comparisons.checks.position_fit import PositionObservations, position_fit
 
-    seen = Seen(smoothed.time_s[at], given.position_m[number], spread, given.antenna_m)
+    seen = PositionObservations(
+        smoothed.time_s[at], given.position_m[number], spread, given.antenna_m
+    )
     return replace(found, fit=position_fit(seen, Poses(smoothed.time_s, smoothed.pose)))
 
 

@@ -19,7 +19,7 @@ from comparisons.words import Row
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
-    from graphslam.smoother import SmootherResult
+    from graphslam.smoother import SmootherEvidence
     from graphslam.variance_components import Component
 
 _TESTABLE = 1.5
@@ -112,7 +112,7 @@ def _noise(one: Component) -> StatedNoise:
     )
 
 
-def _remarks(result: SmootherResult, components: Sequence[Component]) -> list[str]:
+def _remarks(result: SmootherEvidence, components: Sequence[Component]) -> list[str]:
     """Of odometry alone: the innovations of all others have bands of their own.
 
     Only where its noise alone explains all residuals; else another fault may have raised it.

@@ -131,7 +131,7 @@ class CheckUnusedPositions(Check):
 
 def unused_positions(positions: Positions, smoothed: Estimate) -> UnusedPositions:
     """Return how positions within an estimate's time lie to its path."""
-    from comparisons.checks.position_fit import Seen, position_fit
+    from comparisons.checks.position_fit import PositionObservations, position_fit
 
     path = Poses(smoothed.time_s, smoothed.pose)
     poses, covariances = path.at(positions.time_s), _covariances(positions.time_s, smoothed)
@@ -153,7 +153,9 @@ def unused_positions(positions: Positions, smoothed: Estimate) -> UnusedPosition
     )
     if not judged.contradict:
         return judged
-    seen = Seen(positions.time_s, positions.position_m, covariance, positions.antenna_m)
+    seen = PositionObservations(
+        positions.time_s, positions.position_m, covariance, positions.antenna_m
+    )
     return UnusedPositions(**{**vars(judged), "fit": position_fit(seen, path)})
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from comparisons.cli.flags import Command
+from comparisons.cli.flags import DenseHelpCommand
 from comparisons.cli.support import BROKEN, INTERRUPTED, UNUSABLE, fail
 from comparisons.errors import note
 from comparisons.options import renamed_words
@@ -45,11 +45,15 @@ PANELS = {
     },
     "Experiments": {
         "montecarlo": "montecarlo:montecarlo",
-        "reproduce": "reproduce:reproduce",
     },
 }
 """Names of commands by panel of the help, and where each is found in this package."""
 COMMANDS = {name: place for panel in PANELS.values() for name, place in panel.items()}
+MOVED = {
+    "reproduce": "the documents' figures are no part of the program; with a checkout of the "
+    "project: python -m research.documents FIGURE ... --data FOLDER",
+}
+"""Commands of the release before, and what replaces them."""
 PROGRAM = "slamcheck"
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 AGAIN_S = 10.0
@@ -93,7 +97,7 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
         elif several:
             app.add_typer(command, name=one)
         else:
-            app.command(one, cls=Command)(command)
+            app.command(one, cls=DenseHelpCommand)(command)
     found: Any = typer.main.get_command(app)
     if name is not None:
         found = found.commands[name]
@@ -204,6 +208,8 @@ def _for_any_reader(stream: Any) -> Any:
 def _run(stopped: Sequence[int]) -> NoReturn:
     """Run what the command line asks for, and exit. stopped: a signal that has come since."""
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
+    if asked in MOVED:
+        fail(f"{asked}: {MOVED[asked]}", UNUSABLE)
     try:
         if asked in COMMANDS:  # without the options of all, which take longer to load than help
             name, command, words = f"{PROGRAM} {asked}", build(asked), sys.argv[2:]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from comparisons.cli.flags import Command, Given, from_flags
+from comparisons.cli.flags import Arguments, DenseHelpCommand, from_flags
 from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progress_bar
 from comparisons.errors import InputError, quoted
@@ -46,10 +46,10 @@ _SHOWN = "--estimate --require --filter --association --seed"
 
 
 @baseline.command(
-    cls=Command, short_help="Save the figures of a run or of a check, with tolerances."
+    cls=DenseHelpCommand, short_help="Save the figures of a run or of a check, with tolerances."
 )
 @from_flags((*RUN, *_ESTIMATE), _SHOWN, prints=False, file=(FileArgument,), runs=(RunsOption, None))
-def save(given: Given) -> None:
+def save(given: Arguments) -> None:
     """Save the figures of a run, or of a check of --estimate, with tolerances.
 
     \b
@@ -86,7 +86,7 @@ def save(given: Given) -> None:
         typer.echo(f"{target}: {figures}, verdict {kept.verdict}{grade}")
 
 
-@baseline.command(cls=Command)
+@baseline.command(cls=DenseHelpCommand)
 def compare(
     log: Annotated[
         str, typer.Argument(metavar="LOG", help="Log of the baseline, a name or a path.")

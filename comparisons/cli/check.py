@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.flags import Arguments, from_flags
 from comparisons.cli.jobs import Job, do_job, start_job
 from comparisons.cli.support import Output, guarded
 from comparisons.errors import InputError, note
@@ -21,7 +21,7 @@ _SHOWN = "--estimate --require --min-coverage --association --gps --robust --see
 
 
 @from_flags(of_job("check"), _SHOWN)
-def check(given: Given) -> None:
+def check(given: Arguments) -> None:
     """Grade an external estimate against EKF and smoother.
 
     Grades: equal to the reference EKF, like it (5 %), plausible (no farther from the
@@ -66,7 +66,7 @@ def as_meant(log: str, estimate: str) -> str:
     return f"slamcheck check {shlex.quote(log)} --estimate {shlex.quote(estimate)}"
 
 
-def _check_places(given: Given) -> None:
+def _check_places(given: Arguments) -> None:
     """Raise InputError where the estimate stands in the log's place, or the log behind --log."""
     named = {flag.field: value for flag, value in given.flags}
     estimate, file = named.get("estimate"), given.log_file

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-    from comparisons.config import Section
+    from comparisons.config import SettingsGroup
 
 
 _WIDTH = 78
@@ -71,7 +71,7 @@ def config(
         typer.echo("\n".join(lines))
 
 
-def _kind(job: JobName) -> type[Section]:
+def _kind(job: JobName) -> type[SettingsGroup]:
     from comparisons.config import JOBS
 
     if job is JobName.MONTECARLO:

@@ -14,7 +14,7 @@ from comparisons.cli.support import Output, chosen_output
 from comparisons.options import JOB, Flag
 
 
-class Command(typer.core.TyperCommand):
+class DenseHelpCommand(typer.core.TyperCommand):
     """A command whose help is dense: narrow columns, and `--help` beside the job's options."""
 
     def get_help_option(self, ctx: Any) -> Any:
@@ -33,7 +33,7 @@ class Command(typer.core.TyperCommand):
         super().format_help(ctx, formatter)
 
 
-class Given(NamedTuple):
+class Arguments(NamedTuple):
     """What a command was given. log: a name or a path. extra: the command's own options."""
 
     log: str | None
@@ -55,7 +55,7 @@ class Given(NamedTuple):
 
 def from_flags(
     flags: Iterable[Flag], shown: str, *, prints: bool = True, **extra: Any
-) -> Callable[[Callable[[Given], None]], Callable[..., None]]:
+) -> Callable[[Callable[[Arguments], None]], Callable[..., None]]:
     """Make a function of what was given into one whose parameters typer reads.
 
     shown: options that `--help` lists, in this order; all others are valid and stand in
@@ -65,7 +65,7 @@ def from_flags(
     listed = {option: place for place, option in enumerate(shown.split())}
     table = sorted(flags, key=lambda flag: listed.get(flag.option, len(listed)))
 
-    def decorate(job: Callable[[Given], None]) -> Callable[..., None]:
+    def decorate(job: Callable[[Arguments], None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
             given = [
                 (flag, _plain(value))
@@ -75,7 +75,7 @@ def from_flags(
             common = {one.name: values[one.name] for one in (_LOG, *_COMMON)}
             printed = {name: values[name] for name in OUTPUT if prints}
             own = {name: values[name] for name in extra}
-            job(Given(**common, flags=given, shown=printed, extra=own))
+            job(Arguments(**common, flags=given, shown=printed, extra=own))
 
         parameters = [_LOG, *(of_flag(flag, hidden=flag.option not in listed) for flag in table)]
         parameters += [

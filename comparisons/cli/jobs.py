@@ -8,7 +8,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from comparisons.cli.flags import Given
+from comparisons.cli.flags import Arguments
 from comparisons.cli.support import (
     VERDICTS,
     Output,
@@ -38,7 +38,7 @@ class Job(Generic[C]):
 
 
 def do_job(
-    given: Given,
+    given: Arguments,
     work: Callable[[Progress], tuple[Job[Any], object]],
     after: Callable[[Any], None] = lambda found: None,
 ) -> None:
@@ -59,7 +59,9 @@ def do_job(
         raise SystemExit(VERDICTS[report.outcome])
 
 
-def do_plain_job(given: Given, kind: str, work: str, base: Mapping[str, Any] | None = None) -> None:
+def do_plain_job(
+    given: Arguments, kind: str, work: str, base: Mapping[str, Any] | None = None
+) -> None:
     """Do a job that is one function of log, configuration and progress.
 
     kind: name of its configuration. work: `module:function`. Both are loaded here. base: see
@@ -74,7 +76,7 @@ def do_plain_job(given: Given, kind: str, work: str, base: Mapping[str, Any] | N
 
 
 def start_job(
-    given: Given,
+    given: Arguments,
     kind: type[C],
     base: Mapping[str, Any] | None = None,
     check: Callable[[C], None] = lambda config: None,
@@ -96,7 +98,7 @@ def start_job(
 
 
 def read_job(
-    given: Given,
+    given: Arguments,
     kind: type[C],
     base: Mapping[str, Any] | None = None,
     check: Callable[[C], None] = lambda config: None,
@@ -118,7 +120,7 @@ def read_job(
     return read_for(config, allow_changed=given.allow_changed_log)
 
 
-def _file_and_source(given: Given) -> tuple[Path | None, str | None]:
+def _file_and_source(given: Arguments) -> tuple[Path | None, str | None]:
     """The configuration's file and the log's name, either of which the argument may be."""
     file, source = given.config, given.log
     if source is not None and Path(source).suffix == ".toml" and Path(source).is_file():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.flags import Arguments, from_flags
 from comparisons.cli.jobs import do_plain_job
 from comparisons.options.table import of_job
 
@@ -13,7 +13,7 @@ _SHOWN = "--filter --association --gps --layer --resolution --dynamic --landmark
 
 
 @from_flags(of_job("map"), _SHOWN)
-def map_command(given: Given) -> None:
+def map_command(given: Arguments) -> None:
     """Build a dense map of laser scans beside the EKF (DenseSLAM).
 
     \b

@@ -15,7 +15,7 @@ from comparisons.errors import note
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.config import MonteCarloConfig
-    from comparisons.experiments.montecarlo.external import Command
+    from comparisons.experiments.montecarlo.external import ExternalProgram
     from comparisons.experiments.montecarlo.study import Study
 
 
@@ -149,7 +149,9 @@ def montecarlo(**values: Any) -> None:
 
 
 @contextmanager
-def _kept_if_stopped(study: Study, folder: Path, commands: Mapping[str, Command]) -> Iterator[None]:
+def _kept_if_stopped(
+    study: Study, folder: Path, commands: Mapping[str, ExternalProgram]
+) -> Iterator[None]:
     """Say what a study keeps that is stopped, and how it goes on."""
     from comparisons.experiments.montecarlo.study import kept_runs
 

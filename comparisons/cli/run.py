@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.flags import Arguments, from_flags
 from comparisons.cli.jobs import Job, do_job, start_job
 from comparisons.options.table import of_job
 
@@ -35,7 +35,7 @@ _SHOWN = (
 
 
 @from_flags(of_job("run"), _SHOWN, live=(LiveOption, False), record=(RecordOption, None))
-def run(given: Given) -> None:
+def run(given: Arguments) -> None:
     """Run EKF and smoother on a log, compare them, write a report.
 
     \b

@@ -1,1 +1,1 @@
-"""What the source documents' constants are, and what runs use in their place."""
+"""Settings that the source documents state, and what runs use in their place."""

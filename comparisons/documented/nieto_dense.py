@@ -1,4 +1,4 @@
-"""Constants of Nieto (2005), chapters 3 and 4, section 6.3: dense maps."""
+"""Settings that Nieto (2005), chapters 3 and 4, states for dense maps."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from comparisons.documented.row import AnyBut, Documented
 
 CAR_PARK = {"log.format": ("acfr-car-park",)}
 OTHERS = {"log.format": AnyBut(("acfr-car-park",))}
-_FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
-_BY = " (benchmarks/dense_maps.py)"
+_BY = " (research/dense_maps.py)"
 
 ROWS = (
     Documented(
@@ -48,10 +47,6 @@ ROWS = (
         "scan-loop, 1,102 instead of 1,115 on occupancy-loop (the same drives)" + _BY,
     ),
     Documented(
-        place="N 3.9, Fig. 3.17", what="sigmas of a landmark's uncertainty bound", value=3.0,
-        at="ekf_reference.dense.conditions:Conditions.flip_sigmas",
-    ),
-    Documented(
         place="N 3.9",
         what="returns wait for their region (3.7.3; the thesis' experiments leave it out)",
         value=False, at="dense_maps.delayed",
@@ -85,17 +80,13 @@ ROWS = (
         "(the same drives)" + _BY,
     ),
     Documented(
-        place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.12", what="occupancy of what nothing is known of",
-        value=0.5, at="ekf_reference.dense.layers.grid_update:PRIOR",
-    ),
-    Documented(
         place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.11", what="bound of occupancy", value=1.0,
         at="dense_maps.confidence",
         defaults=("ekf_reference.dense.layers.grid_update:GridUpdate.confidence",),
         reason="with a bound a map forgets what has changed; in a scene that stays it hardly "
         "matters: without it the occupied cells of one grid cover 1.02 times the area of "
-        "DenseSLAM's after ten rounds of occupancy-loop, with it 1.00 times (slamcheck reproduce "
-        "N4.4)",
+        "DenseSLAM's after ten rounds of occupancy-loop, with it 1.00 times "
+        "(N4.4 in docs/results-reproduction.md)",
     ),
     Documented(
         place="N 4.1.3, Fig. 4.6", what="size of cells", value=0.2, unit="m",
@@ -108,30 +99,6 @@ ROWS = (
         reason="runs use section 4.1.3's 0.2 m everywhere, which shows finer shapes: 27,134 cells "
         "instead of 7,128, 556 of them occupied instead of 287 "
         "(slamcheck map acfr_car_park --layer occupancy)",
-        also=(f"{_FIGURES}:CELL_M",),
-    ),
-    Documented(
-        place="N 4.1.3, Fig. 4.6", what="size of cells in almost empty regions", value=0.5,
-        unit="m", at="ekf_reference.dense.layers.occupancy:Coarsening.resolution_m",
-    ),
-    Documented(
-        place="N 4.1.3",
-        what="cellsPercent: share of a region's cells that is empty in an almost empty one",
-        value=0.99, at="ekf_reference.dense.layers.occupancy:Coarsening.share",
-    ),
-    Documented(
-        place="N 4.1.3", what="minProb: occupancy below which a cell is empty", value=0.2,
-        at="ekf_reference.dense.layers.occupancy:Coarsening.least",
-    ),
-    Documented(
-        place="N 4.1.3, Fig. 4.3; 4.2.3",
-        what="occupancy above which cells and particles are drawn and counted", value=0.8,
-        at="comparisons.extensions.dense_maps.accuracy:OCCUPIED",
-    ),
-    Documented(
-        place="N 4.1.3, Fig. 4.5", what="rounds after which one grid is shown",
-        value=(1.0, 2.0, 3.0, 4.0, 5.0, 10.0),
-        at="comparisons.experiments.reproduction.nieto_dense:ROUNDS",
     ),
     Documented(
         place="N 4.2.3, 4.3.3", what="d_min of particles and of Gaussians", value=0.2, unit="m",
@@ -152,22 +119,17 @@ ROWS = (
         reason="to bound their number: after ten rounds of occupancy-loop 17,087 particles instead "
         "of 51,902, of which 73 % instead of 91 % weigh more than 0.8, and 12,823 Gaussians "
         "instead of 32,249; from the surfaces, both are 1.03 times as far as raw returns either "
-        "way (benchmarks/dense_maps.py --particles)",
+        "way (research/dense_maps.py --particles)",
     ),
     Documented(
         place="N 4.2.3", what="weight below which a particle is dropped: not subsampled", value=0.0,
         at="dense_maps.least_weight",
-        reason="to bound their number: a tenth of all weigh less (slamcheck reproduce N4.10)",
+        reason="to bound their number: a tenth of all weigh less (N4.10 there)",
     ),
     Documented(
         place="N 6.5, Fig. 6.14", what="d_min of the car park's Gaussians", value=0.5, unit="m",
         at="dense_maps.d_min_m", when=CAR_PARK,
         reason="runs use section 4.3.3's 0.2 m everywhere, which shows finer shapes: 1,458 "
         "Gaussians instead of 412 (slamcheck map acfr_car_park --layer sog)",
-        also=(f"{_FIGURES}:COARSE_M",),
-    ),
-    Documented(
-        place="N 4.3.3, eq. 4.18", what="k, of the widest Gaussian in d_min", value=0.8,
-        at="ekf_reference.dense.layers.gaussians:Gaussians().widest",
     ),
 )  # fmt: skip

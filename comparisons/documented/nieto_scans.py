@@ -1,4 +1,4 @@
-"""Constants of Nieto (2005), chapter 5, sections 6.1 and 6.2: scans as landmarks.
+"""Settings that Nieto (2005), chapter 5 and section 6.1, states for scans as landmarks.
 
 Section 5.6, the simulation, asks for "a minimum number of neighbour points" and gives none; all
 other numbers are those of section 5.7, of the car park.
@@ -6,15 +6,11 @@ other numbers are those of section 5.7, of the car park.
 
 from __future__ import annotations
 
-import math
-
 from comparisons.documented.nieto_dense import CAR_PARK, OTHERS
 from comparisons.documented.row import Documented
 
 _EXTRACTION = "ekf_reference.scan_landmarks.template_extraction"
 _SLAM = "ekf_reference.scan_landmarks.scan_slam"
-_FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
-_TRIAL = "ekf_reference.scan_landmarks.template_extraction:TRIAL"
 _SEGMENTS = "ekf_reference.scan_landmarks.segmentation:SegmentationOptions"
 _SEARCH = "ekf_reference.scan_landmarks.high_level:SearchOptions"
 _LIFE = "ekf_reference.scan_landmarks.high_level_lifecycle:HighLevelLandmarks"
@@ -45,14 +41,6 @@ _TEMPLATES = (
         "the ATE is 0.46 m with 100 returns instead of 0.15 with 50",
     ),
     Documented(
-        place="N 5.7", what="range between neighbours at which a segment ends", value=5.0, unit="m",
-        at=f"{_SEGMENTS}.range_m",
-    ),
-    Documented(
-        place="N 5.7", what="bearing between neighbours at which a segment ends",
-        value=math.radians(3.0), unit="rad", at=f"{_SEGMENTS}.bearing_rad",
-    ),
-    Documented(
         place="N 5.2.2, 5.7",
         what="scans from one whose segments are tried to the next: each new frame", value=1,
         at="scan_landmarks.every",
@@ -73,10 +61,6 @@ _TEMPLATES = (
         reason="the worse of 2 is asked for, so that one lucky displacement lets nothing in; "
         "whole scan, 3 scans are rejected with 2 and 2 with 1 (the first 60 s of Table 5.1's "
         "drive, seed 0: ATE 0.21 m with 1, 0.15 with 2, which one drive cannot tell apart)",
-    ),
-    Documented(
-        place="N 5.2.2", what="only every second return is copied (the copy is of the segment)",
-        value=False, at=f"{_TRIAL}.interleaved",
     ),
     Documented(
         place="N 5.7", what="greatest error of a trial's alignment over its displacement",
@@ -109,10 +93,6 @@ _OBSERVATION = (
         "an ATE of 0.20 m, 0.5 gives 42 and 0.15 m (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
-        place="N 5.7", what="only what is in view of a segment's template is aligned", value=False,
-        at="ekf_reference.scan_landmarks.template_extraction:SingleSegments.visible",
-    ),
-    Documented(
         place="N 5.5", what="templates in view that a scan is aligned with (0: all)", value=0,
         at="scan_landmarks.aligned", defaults=(f"{_SLAM}:ScanSlamOptions.aligned",),
         reason="to save time: whole scan, all give the same 1,164 measurements as 5 (the first "
@@ -143,15 +123,6 @@ _OBSERVATION = (
         reason="taken for independent the filter is too sure, and its path worse: an ATE of 0.43 m "
         "instead of 0.15 (the first 60 s of Table 5.1's drive, seed 0)",
     ),
-    Documented(
-        place="N 5.3.1, Fig. 5.6", what="iterations of ICP", value=20,
-        at="comparisons.experiments.reproduction.nieto_scans:ROUNDS",
-    ),
-    Documented(
-        place="N 5.4, eq. 5.17",
-        what="unknowns of the fitted covariance, which more samples than that must fix", value=6,
-        at="ekf_reference.scan_matching.alignment_covariance:LEAST_SAMPLES",
-    ),
 )  # fmt: skip
 _SPARSE = (
     "runs use section 6.1.3's everywhere; with this section's 7 m and 0.5 m no landmark of the car "
@@ -161,7 +132,6 @@ _HIGH_LEVEL = (
     Documented(
         place="N 6.1.3", what="time between two searches for high level landmarks", value=60.0,
         unit="s", at="high_level.every_s",
-        also=("comparisons.experiments.reproduction.nieto_high_level:EVERY_S",),
         reason="a loop of occupancy-loop takes 77 s: in drives of two loops 2.4 landmarks are kept "
         "by a search every minute and 9.7 by one every 20 s, and the vehicle's heading error falls "
         "from 0.905 to 0.904 and 0.886 degrees (means of seeds 0 to 9)",
@@ -169,10 +139,6 @@ _HIGH_LEVEL = (
     Documented(
         place="N 6.1.3", what="greatest distance of two corners of a high level landmark",
         value=12.0, unit="m", at="high_level.pair_m", when=OTHERS, defaults=(f"{_SEARCH}.pair_m",),
-    ),
-    Documented(
-        place="N 6.1.3", what="from the corners to the sides of the rectangle", value=5.0, unit="m",
-        at=f"{_SEARCH}.margin_m",
     ),
     Documented(
         place="N 6.1.3", what="least Gaussians of a high level landmark", value=200,
@@ -200,17 +166,13 @@ _HIGH_LEVEL = (
     ),
     Documented(
         place="N 6.5, car park", what="greatest distance of two corners of a high level landmark",
-        value=7.0, unit="m", at="high_level.pair_m", when=CAR_PARK, also=(f"{_FIGURES}:PAIR_M",),
+        value=7.0, unit="m", at="high_level.pair_m", when=CAR_PARK,
         reason=_SPARSE,
     ),
     Documented(
         place="N 6.5, car park",
         what="cells of the map that is searched, and d_min of its Gaussians", value=0.5, unit="m",
-        at="high_level.cell_m", when=CAR_PARK, also=(f"{_FIGURES}:COARSE_M",), reason=_SPARSE,
-    ),
-    Documented(
-        place="N 6.2.1, Fig. 6.7 (c)", what="occupancy above which a cell is drawn", value=0.8,
-        at="comparisons.extensions.dense_maps.accuracy:OCCUPIED",
+        at="high_level.cell_m", when=CAR_PARK, reason=_SPARSE,
     ),
 )  # fmt: skip
 ROWS = (*_TEMPLATES, *_OBSERVATION, *_HIGH_LEVEL)

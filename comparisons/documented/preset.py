@@ -12,7 +12,7 @@ from comparisons.options import below, merge
 
 Default = Callable[[str], Value]
 """The default of a run's setting `section.key`."""
-SETTINGS: tuple[Documented, ...] = tuple(row for row in ROWS if row.is_setting)
+SETTINGS: tuple[Documented, ...] = ROWS
 
 
 def published(

@@ -16,7 +16,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.errors import InputError, quoted
 from comparisons.trace import events
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 
 _POSE, _POINT = 3, 2
 _NOT_OF_ONE = "has a measurement that is not of one landmark"
@@ -58,7 +58,7 @@ class PlanarEvents(NamedTuple):
     removed: tuple[int, ...] = ()
 
 
-def event_arrays(trace: Trace) -> PlanarEvents:
+def event_arrays(trace: TraceReader) -> PlanarEvents:
     """Return a trace's columns.
 
     Raises:
@@ -87,9 +87,9 @@ class _Measured(NamedTuple):
 class _Reading:
     """Columns in the making. copies: steps made when each clone of the pose was."""
 
-    def __init__(self, trace: Trace) -> None:
+    def __init__(self, trace: TraceReader) -> None:
         self.path, self.made = trace.path, 0
-        self.prior: events.Prior
+        self.prior: events.TracePrior
         self.rows: defaultdict[str, list[Any]] = defaultdict(list)
         self.names: list[str] = []
         self.blocks: dict[str, int] = {}
@@ -99,7 +99,7 @@ class _Reading:
     def take(self, event: events.Event) -> None:
         """Add an event."""
         match event:
-            case events.Prior():
+            case events.TracePrior():
                 self._prior(event)
             case events.Predict():
                 self._predict(event)
@@ -140,7 +140,7 @@ class _Reading:
         arrays = {"prior_pose": point, "prior_covariance": self.prior.covariance, **found}
         return PlanarEvents(arrays, tuple(self.names), tuple(self.removed))
 
-    def _prior(self, event: events.Prior) -> None:
+    def _prior(self, event: events.TracePrior) -> None:
         if event.dims != (_POSE,) or event.charts not in ((), (events.ADDITIVE,), ("se2",)):
             self._refuse(event, "the prior is not of a pose of x, y and heading alone")
         self.prior = event

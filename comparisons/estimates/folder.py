@@ -15,7 +15,7 @@ from comparisons.errors import InputError, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault, toml_text
 from comparisons.logs.stamps import Nanoseconds
-from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml
+from comparisons.logs.table import TextTable, is_number, is_record, read_text, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
 
@@ -129,14 +129,14 @@ def read_trajectory(path: Path) -> tuple[Array, Array, Nanoseconds | None]:
 
     The last are None where float64 has nanoseconds of them. Raises InputError.
     """
-    tum = Table(path, TUM)
+    tum = TextTable(path, TUM)
     with tum.locating():
         increasing("trajectory", tum["time_s"])
         within("trajectory", "time_s", tum["time_s"], -LARGEST, LARGEST)
     return tum["time_s"], planar_poses(tum, "w last"), tum.nanoseconds("time_s")
 
 
-def planar_poses(table: Table, order: str) -> Array:
+def planar_poses(table: TextTable, order: str) -> Array:
     """Poses (K, 3) of positions x, y, z and quaternions qx, qy, qz, qw. Raises InputError.
 
     order: in which the quaternion's numbers stand, for errors.
@@ -152,7 +152,7 @@ def planar_poses(table: Table, order: str) -> Array:
     return np.column_stack((table["x"], table["y"], np.unwrap(2.0 * np.arctan2(z, w))))
 
 
-def _check_order(table: Table, up: Array, order: str) -> None:
+def _check_order(table: TextTable, up: Array, order: str) -> None:
     """Raise InputError for quaternions that are planar if their numbers stand in the other order.
 
     up: (K,) of the poses' third axes, by the order in which they were read.
@@ -170,7 +170,7 @@ def _check_order(table: Table, up: Array, order: str) -> None:
     raise InputError(f"{table.path}: its quaternions look like x y z w, expected w x y z")
 
 
-def in_plane(table: Table, place: Array, up: Array) -> None:
+def in_plane(table: TextTable, place: Array, up: Array) -> None:
     """Check that positions (K, 3) are finite and do not move along their third axes up (K, 3).
 
     Raises InputError.
@@ -244,7 +244,7 @@ def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
 
 
 def _read_table(path: Path, name: str, columns: tuple[str, ...]) -> tuple[NDArray[np.int64], Array]:
-    table = Table(path, columns, comma=True, header=True)
+    table = TextTable(path, columns, comma=True, header=True)
     with table.locating():
         ids = whole_numbers(name, "id", table["id"])
         distinct(name, ids)

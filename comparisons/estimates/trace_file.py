@@ -17,7 +17,7 @@ from comparisons.estimates.event_arrays import COLUMNS, PlanarEvents, event_arra
 from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
-from comparisons.trace.reader import OUTDATED, Trace
+from comparisons.trace.reader import OUTDATED, TraceReader
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (
     VEHICLE,
@@ -126,7 +126,7 @@ def read_trace(path: Path) -> TraceFile:
         outdated = (f"{path.name} {OUTDATED}",)
         arrays = _former_arrays(path)
         return _checked(path, PlanarEvents(arrays, _former_blocks(arrays)), outdated)
-    trace = Trace(path)
+    trace = TraceReader(path)
     planar = event_arrays(trace)
     unsound = ""
     if faults := trace.unsound | trace.singular:  # its equations have an inverse of every R

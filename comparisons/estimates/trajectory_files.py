@@ -22,7 +22,7 @@ from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
 from comparisons.logs.from_arrays import COVARIANCE, KINDS
 from comparisons.logs.plain_csv import PlainTable, need, read_plain
 from comparisons.logs.stamps import Nanoseconds
-from comparisons.logs.table import Table, first_record, is_number
+from comparisons.logs.table import TextTable, first_record, is_number
 from comparisons.logs.validation import LARGEST, increasing, within
 
 UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
@@ -71,20 +71,20 @@ def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, 
     words = first.split(",")
     more = len(words) - len(_EUROC)
     if more >= 0 and all(map(is_number, words)):
-        table = Table(
+        table = TextTable(
             path, (*_EUROC, *(f"column {len(_EUROC) + i + 1}" for i in range(more))), comma=True
         )
         time_s, time_ns = table["time_ns"] / 1e9, table.nanoseconds("time_ns", 10**9)
         return _timed(table, time_s, planar_poses(table, "w first"), time_ns=time_ns), (path,)
     if any(mark in first for mark in ",;\t") and not all(map(is_number, first.split())):
         return _read_csv(path), (path,)
-    table = Table(path, TUM)
+    table = TextTable(path, TUM)
     time_ns = table.nanoseconds("time_s")
     return _timed(table, table["time_s"], planar_poses(table, "w last"), time_ns=time_ns), (path,)
 
 
 def _timed(
-    table: Table | PlainTable,
+    table: TextTable | PlainTable,
     time_s: Array,
     pose: Array,
     covariance: Array | None = None,
@@ -177,7 +177,7 @@ def _read_kitti(path: Path, times: Path) -> Trajectory:
         raise InputError(
             f"{path}: KITTI files have no times, expected {times.name} beside it, or --times"
         )
-    table, clock = Table(path, _KITTI), Table(times, ("time_s",))
+    table, clock = TextTable(path, _KITTI), TextTable(times, ("time_s",))
     if len(table) != len(clock):
         raise InputError(f"{times}: {len(clock)} times, expected {len(table)} as poses in {path}")
     place, up = (table.data[:, [i, i + 4, i + 8]] for i in (3, 2))

@@ -8,29 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.faults.fault import Done, Fault, Plant, after, keeping
+from comparisons.faults.fault import Fault, Plant, StateChange, after, keeping
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import LandmarkKind, NewLandmarks
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import Correction, KalmanState
 
 
-def _without_map(done: Done, *_: Any) -> None:
+def _without_map(done: StateChange, *_: Any) -> None:
     n = len(done.before)
     done.p[3:n, n:] = done.p[n:, 3:n] = 0.0
 
 
-def _without_vehicle(done: Done, *_: Any) -> None:
+def _without_vehicle(done: StateChange, *_: Any) -> None:
     n = len(done.before)
     done.p[:3, n:] = done.p[n:, :3] = 0.0
 
 
-def _cross_as_before(done: Done, *_: Any) -> None:
+def _cross_as_before(done: StateChange, *_: Any) -> None:
     done.p[:3, 3:] = done.before[:3, 3:]
     done.p[3:, :3] = done.before[:3, 3:].T
 
 
-def _lower_as_before(done: Done, *_: Any) -> None:
+def _lower_as_before(done: StateChange, *_: Any) -> None:
     done.p[3:, :3] = done.before[3:, :3]
 
 
@@ -44,7 +44,7 @@ def _between_landmarks(layout: Layout) -> NDArray[np.bool_]:
     return found
 
 
-def _independent_landmarks(done: Done, *_: Any) -> None:
+def _independent_landmarks(done: StateChange, *_: Any) -> None:
     done.p[_between_landmarks(done.layout)] = 0.0
 
 
@@ -54,7 +54,7 @@ def new_landmarks_apart(variance: float | None = None) -> Plant:
     variance: [m^2] that they have instead of their own.
     """
 
-    def forget(done: Done, new: NewLandmarks, noise: Array, kind: LandmarkKind) -> None:
+    def forget(done: StateChange, new: NewLandmarks, noise: Array, kind: LandmarkKind) -> None:
         p, n = done.p, len(done.before)
         if variance is not None:
             p[n:, n:] = variance * np.eye(len(p) - n)
@@ -73,7 +73,7 @@ def _gain(p: Array, columns: Index, jacobian: Array, noise: Array) -> tuple[Arra
 
 
 def _not_transposed(
-    done: Done, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    done: StateChange, columns: Index, jacobian: Array, innovation: Array, noise: Array
 ) -> None:
     w, keep = _gain(done.before, columns, jacobian, noise)
     broken = keep @ done.before @ keep + w @ noise @ w.T

@@ -160,7 +160,7 @@ def remembering(other: Callable[[], Plant]) -> Plant:
     return lambda ekf: other()(ekf)
 
 
-class Done(NamedTuple):
+class StateChange(NamedTuple):
     """What a method of the state has done.
 
     p: (n, n) covariance, to be changed. before: what it was. layout: of the state now.
@@ -172,13 +172,13 @@ class Done(NamedTuple):
 
 
 def after(method: str, change: Callable[..., None]) -> Plant:
-    """Another covariance once a method of the state is done: its arguments follow a `Done`."""
+    """Another covariance once a method of the state is done. It is called with a `StateChange`."""
 
     def replaced(own: Any, *args: Any) -> Any:
         state: KalmanState = own.__self__
         before, result = state.covariance.copy(), own(*args)
         n = state.layout.size
-        change(Done(state._covariance[:n, :n], before, state.layout), *args)
+        change(StateChange(state._covariance[:n, :n], before, state.layout), *args)
         return result
 
     return keeping(**{method: replaced})

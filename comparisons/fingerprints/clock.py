@@ -20,7 +20,7 @@ from comparisons.checks.diagnosis.departure import departed_s
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.reference import Reference
-from comparisons.fingerprints.companion import Left
+from comparisons.fingerprints.companion import EstimateLeftError
 from comparisons.fingerprints.estimate_motion import distance_by_steps
 from comparisons.logs.log import Log
 from comparisons.logs.stamps import after_ns, as_floats_tell, at_instants, since_origin
@@ -121,7 +121,7 @@ def _equal_poses(given: ExternalEstimate, prepared: Prepared[SolveConfig], count
     """How many of the first poses are those of the reference EKF, to rounding."""
     first = with_poses(given, np.arange(len(given.time_s)) < count)
     beside = _Beginning(first.time_s)
-    with contextlib.suppress(Left):
+    with contextlib.suppress(EstimateLeftError):
         filter_named(EKF, prepared, first.time_s, lambda ekf: beside)
     reference = beside.reference()
     left_s = departed_s(with_poses(first, np.isin(first.time_s, reference.time_s)), reference)
@@ -142,7 +142,7 @@ class _Beginning(FilterObservers):
         if time_s in self._wanted:
             self._noted[time_s] = ekf.state.pose, ekf.state.pose_covariance
         if time_s >= self._last_s:
-            raise Left
+            raise EstimateLeftError
 
     def reference(self) -> Reference:
         """Return what was noted; no map."""

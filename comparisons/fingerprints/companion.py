@@ -22,7 +22,7 @@ it is equal to rounding is judged in the end."""
 _LEAVES = 1e-3
 
 
-class Left(Exception):  # noqa: N818  # no error: the run is given up
+class EstimateLeftError(Exception):  # no error: the run is given up
     """The run has left the estimate."""
 
 
@@ -61,7 +61,7 @@ class Companion(FilterObservers):
             return
         far, sound = float(np.abs(apart).max()), float(self._sound[self._row[time_s]])
         if not far <= max(self._least, self._share * sound):
-            raise Left
+            raise EstimateLeftError
         self._exact = self._exact and far <= self._least
         if self._exact:
             self.poses += 1
@@ -103,7 +103,7 @@ def remainder(
     seen = _First(beside, count)
     try:
         run(seen)
-    except Left:
+    except EstimateLeftError:
         pass
     except (InputError, np.linalg.LinAlgError):
         return None
@@ -126,4 +126,4 @@ class _First(FilterObservers):
         if apart is not None:
             self.left.append(apart)
             if len(self.left) >= self._count:
-                raise Left
+                raise EstimateLeftError

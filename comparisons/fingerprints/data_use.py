@@ -20,7 +20,7 @@ from comparisons.audit.own_filter import distances_of
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Removed
-from comparisons.fingerprints.companion import Companion, Left
+from comparisons.fingerprints.companion import Companion, EstimateLeftError
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import EKF, ONE_BY_ONE, filter_of
@@ -318,6 +318,6 @@ class _Search:
             found = filter_of(order, _ORDERS[order], other, given.time_s, started)
             if found is not None:
                 near = likeness(given, found, labelled=True)
-        except Left:
+        except EstimateLeftError:
             pass
         return _Try(order, first, gate, beside.last_s, beside.reached_s, near, rejected)

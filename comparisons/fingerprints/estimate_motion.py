@@ -16,7 +16,7 @@ from comparisons.checks.grade import LIKE_SIGMA, Likeness, likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
-from comparisons.fingerprints.companion import Companion, Left
+from comparisons.fingerprints.companion import Companion, EstimateLeftError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, Named, RelativePoses, own_integration
 from comparisons.pipeline.prepared import Prepared
@@ -111,7 +111,7 @@ def _kept(
     """A filter's estimate; None where it breaks down or leaves the one that was given."""
     try:
         return filter_named(name, prepared, given.time_s, lambda ekf: beside)
-    except Left:
+    except EstimateLeftError:
         return None
 
 

@@ -25,7 +25,7 @@ _NEUTRAL = 1e-6
 
 
 @dataclass(frozen=True)
-class Fit:
+class FaultFit:
     """Faults with the numbers that fit.
 
     base: a fault beside them. at: (k,) numbers of the families, a factor's is its logarithm. left:
@@ -62,14 +62,14 @@ class Fit:
         """Whether no more than so much is left anywhere."""
         return bool(np.abs(self.left).max() <= enough)
 
-    def with_one(self, family: Family) -> Fit:
+    def with_one(self, family: Family) -> FaultFit:
         """The same beside another family, as yet without a fault."""
         return replace(
             self, families=(*self.families, family), at=np.append(self.at, _neutral(family))
         )
 
 
-def settled(fit: Fit, remainder: Remainder) -> Fit | None:
+def settled(fit: FaultFit, remainder: Remainder) -> FaultFit | None:
     """Return a fit with better numbers, by Gauss and Newton, as far as they explain what is left.
 
     The derivatives are differences. None where a filter breaks down.
@@ -93,14 +93,14 @@ def settled(fit: Fit, remainder: Remainder) -> Fit | None:
 
 def selected(
     base: Fault, families: Iterable[Family], remainder: Remainder, enough: float = NEAR
-) -> Iterator[Fit]:
+) -> Iterator[FaultFit]:
     """Yield fits of no number, of one, and so on, beside a fault, until only rounding is left.
 
     Forward selection: each next number is the one that, with those before it, leaves the least.
     enough: what rounding leaves.
     """
     left = remainder(base)
-    fit = None if left is None else Fit(base, (), np.empty(0), left)
+    fit = None if left is None else FaultFit(base, (), np.empty(0), left)
     for _ in range(_NUMBERS):
         if fit is None or fit.near(enough):
             break
@@ -111,7 +111,7 @@ def selected(
         yield fit
 
 
-def nearest(fit: Fit, faults: Iterable[Fault], remainder: Remainder) -> Fault | None:
+def nearest(fit: FaultFit, faults: Iterable[Fault], remainder: Remainder) -> Fault | None:
     """Return the fault that leaves the least beside the numbers of a fit; None where none helps."""
     best, least = None, float(np.linalg.norm(fit.left))
     for fault in faults:
@@ -123,7 +123,7 @@ def nearest(fit: Fit, faults: Iterable[Fault], remainder: Remainder) -> Fault | 
     return best
 
 
-def _next(fit: Fit, families: Iterable[Family], remainder: Remainder) -> Family | None:
+def _next(fit: FaultFit, families: Iterable[Family], remainder: Remainder) -> Family | None:
     """The family that leaves the least beside those of a fit, by the derivatives."""
     slope, best, least = _slope(fit, remainder), None, np.inf
     for one in families:
@@ -139,7 +139,7 @@ def _next(fit: Fit, families: Iterable[Family], remainder: Remainder) -> Family 
     return best
 
 
-def _slope(fit: Fit, remainder: Remainder) -> Array | None:
+def _slope(fit: FaultFit, remainder: Remainder) -> Array | None:
     """(n, k) derivatives of what is left by the numbers."""
     columns = []
     for which in range(len(fit.at)):

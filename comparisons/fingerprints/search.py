@@ -16,11 +16,11 @@ from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED
 from comparisons.fingerprints.estimate_motion import in_words
-from comparisons.fingerprints.fit import Fit
-from comparisons.fingerprints.trial import Fingerprint, Trial, Way
+from comparisons.fingerprints.fit import FaultFit
+from comparisons.fingerprints.trial import FaultTrial, Fingerprint, Way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import KINDS, ORDERS
@@ -55,7 +55,7 @@ def fingerprints(
     ]
     found = search.through(ordered, progress)
     if not _exact(found):
-        with Beside(search.through, moving, size=counts(prepared), pays_from=0) as second:
+        with BackgroundCall(search.through, moving, size=counts(prepared), pays_from=0) as second:
             found += search.through(kinds, progress)
             if not _exact(found):
                 if several:
@@ -85,9 +85,9 @@ class _Search:
         log = self.prepared.log
         return [*_start(self.given, log), *catalogue(log)]
 
-    def _trial(self, way: Way) -> Trial:
+    def _trial(self, way: Way) -> FaultTrial:
         prepared = replace(self.prepared, log=way.log)
-        return Trial(self.given, prepared, self.sound, way)
+        return FaultTrial(self.given, prepared, self.sound, way)
 
     def through(self, ways: Sequence[Way], progress: Progress = no_progress) -> list[Fingerprint]:
         """What each fault explains, with the way that leaves the least; an exact one is the last.
@@ -114,7 +114,7 @@ class _Search:
     def together(self, ways: Iterable[Way]) -> list[Fingerprint]:
         """The faults that explain the estimate only together; none where none do."""
         faults, numbers = self._faults, list(families(self.prepared.log))
-        left: list[tuple[Trial, Fit]] = []
+        left: list[tuple[FaultTrial, FaultFit]] = []
         for trial in (self._trial(way) for way in ways):
             if any(before.hopeless(fit, trial) for before, fit in left):
                 continue

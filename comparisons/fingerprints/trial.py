@@ -17,8 +17,14 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.faults.fault import NONE, Family, Fault
-from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left, remainder
-from comparisons.fingerprints.fit import Fit, nearest, selected, settled
+from comparisons.fingerprints.companion import (
+    EXPLAINED,
+    NEAR,
+    Companion,
+    EstimateLeftError,
+    remainder,
+)
+from comparisons.fingerprints.fit import FaultFit, nearest, selected, settled
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.clock import file_start
 from comparisons.pipeline.prepared import Prepared
@@ -97,7 +103,7 @@ def stamp_rounding(given: ExternalEstimate, sound: Likeness, start_s: float) -> 
     return min(found, _MOST_BY_STAMPS)
 
 
-class Trial:
+class FaultTrial:
     """One filter beside an estimate, without a fault as yet.
 
     least: what a fault that reproduces the estimate may leave, in sigma.
@@ -145,7 +151,7 @@ class Trial:
         beside = Companion(self.given, self.sound, least=self.least)
         try:
             found = self._run(fault, beside)
-        except Left:
+        except EstimateLeftError:
             found = None
         except InputError:
             return None
@@ -180,11 +186,11 @@ class Trial:
         """
         if self.neutral is None:
             return None
-        fit = settled(Fit(NONE, (), np.empty(0), self.neutral).with_one(family), self._left)
+        fit = settled(FaultFit(NONE, (), np.empty(0), self.neutral).with_one(family), self._left)
         enough = max(self.least, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
         return self.of(fit.fault) if fit is not None and fit.near(enough) else None
 
-    def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> Fit | None:
+    def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> FaultFit | None:
         """Up to three numbers, alone or beside a fault without one, that leave the least together.
 
         Without a number is one that leaves the least of the first poses, beside no number or one.
@@ -202,7 +208,7 @@ class Trial:
             tried += selected(base, families, self._left, self.least)
         return min(tried, key=lambda fit: float(np.linalg.norm(fit.left)), default=None)
 
-    def hopeless(self, fit: Fit, other: Trial) -> bool:
+    def hopeless(self, fit: FaultFit, other: FaultTrial) -> bool:
         """Whether what a fit leaves is far more than what another filter does otherwise."""
         if self.neutral is None or other.neutral is None:
             return False

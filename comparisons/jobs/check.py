@@ -25,8 +25,8 @@ from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
     MOTIONS,
-    Motion,
-    Moved,
+    PathMotion,
+    PathTransform,
     frame_at_start,
     simplest_motion,
 )
@@ -34,8 +34,8 @@ from comparisons.checks.diagnosis.duplicate_landmarks import duplicate_cause, du
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts, paths_beside, undone
 from comparisons.checks.diagnosis.model_differences import PREDICTIONS
 from comparisons.checks.external_agreement import (
-    Coverage,
     ExternalAgreement,
+    TimeCoverage,
     clock_words,
     compare_external,
     coverage,
@@ -45,9 +45,9 @@ from comparisons.checks.grade import (
     GRADES,
     LIKE_SIGMA,
     LIKE_VARIANCE,
+    EstimatePart,
     Grade,
     Likeness,
-    Part,
     likeness,
 )
 from comparisons.checks.model import HINT as MODEL_HINT
@@ -92,7 +92,7 @@ from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, rounded
 from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
-from comparisons.pipeline.known import Given, Known
+from comparisons.pipeline.known import EstimateUnderCheck, Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import (
     APART,
@@ -172,7 +172,7 @@ class ExternalCheck(Shown):
     peers: tuple[Reference, ...]
     variants: tuple[Reference, ...]
     agreement: ExternalAgreement
-    coverage: Coverage
+    coverage: TimeCoverage
     trace: TraceCheck | None
     grade: Graded
     outcome: Outcome
@@ -464,13 +464,13 @@ class _Job:
             return None
         beside = paths_beside(first.inside, first.peers[0], first.optimum.pose)
         path, motion = simplest_motion(beside)
-        if motion.moved == Moved():
+        if motion.moved == PathTransform():
             return None
         found = self.undone(first, motion)
         framed = motion.gap == "frame" or motion.moved.yaw_rad
         return found or (self.undone(first, frame_at_start(path, motion)) if framed else None)
 
-    def undone(self, first: ExternalCheck, motion: Motion) -> ExternalCheck | None:
+    def undone(self, first: ExternalCheck, motion: PathMotion) -> ExternalCheck | None:
         """The check of what is left without a motion; None if nothing explains that."""
         instants_s = first.solution.prepared.timeline.instants_s()
         other = undone(first.given, motion.moved, instants_s)
@@ -563,7 +563,7 @@ def _without_effect(known: Fingerprint, sound: Likeness, found: ExternalCheck) -
     if found.trace is not None and not _of_settings(found.trace):
         return ""
     poses, *others = sound.parts
-    last = Part(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
+    last = EstimatePart(poses.name, poses.sigma[-1:], poses.least[-1:], poses.largest[-1:])
     variance = np.inf if _both_exact(found) else LIKE_VARIANCE
     if not all(part.within(LIKE_SIGMA, variance) for part in (last, *others)):
         return ""
@@ -734,7 +734,7 @@ def check_external(
         own = tuple(one for one in causes if one.gap in FILTER_FAULTS)
         rest = tuple(one for one in causes if one.gap not in FILTER_FAULTS)
         causes = (*own, _short(given, inside, covered), *rest)
-    judged = Given(
+    judged = EstimateUnderCheck(
         estimate=given,
         inside=inside,
         optimum=references.optimum,
@@ -801,7 +801,7 @@ def _traced(
     return by_trace(own, traced), _with_trace(causes, traced.verdict.causes)
 
 
-def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known:
+def _known(solution: Solution, traced: TraceCheck | None, given: EstimateUnderCheck) -> Known:
     """What the checks may read: the smoother, the estimate, and the events of a sound trace."""
     known = replace(
         solution.answers.before,
@@ -828,7 +828,7 @@ def _left_open(solution: Solution, causes: tuple[Cause, ...]) -> tuple[Cause, ..
     return (doubt, *lacking, *(one for one in causes if one.gap in FILTER_FAULTS))
 
 
-def _short(given: ExternalEstimate, inside: ExternalEstimate, covered: Coverage) -> Cause:
+def _short(given: ExternalEstimate, inside: ExternalEstimate, covered: TimeCoverage) -> Cause:
     """Too little is covered, which may be the clock's fault."""
     outside, (first, last) = len(given.time_s) - len(inside.time_s), covered.span_s
     if outside <= (1.0 - covered.least) * len(given.time_s):

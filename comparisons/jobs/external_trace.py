@@ -36,7 +36,7 @@ from comparisons.checks.diagnosis.single_precision import (
     computed_in_single,
     restored_traces,
 )
-from comparisons.checks.diagnosis.trace_recursion import Replay, replay, turned_as_corrected
+from comparisons.checks.diagnosis.trace_recursion import LinearReplay, replay, turned_as_corrected
 from comparisons.checks.registry import OF_FILTER
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import SolveConfig
@@ -54,9 +54,9 @@ from comparisons.pipeline.clock import Clock, no_progress
 from comparisons.pipeline.gaps import Gaps, Optimum, compute_gaps, optimum_of
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
-from comparisons.pipeline.records import Records
+from comparisons.pipeline.records import FilterRecords
 from comparisons.trace.events import Snapshot
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
@@ -237,14 +237,14 @@ def _own_equations(run: EkfRun, landmarks: int) -> Reference:
     )
 
 
-def _replayed(run: EkfRun) -> Replay:
+def _replayed(run: EkfRun) -> LinearReplay:
     """The recorded equations, filtered again."""
     landmarks = len(run.estimate.landmark)
     return replay(run.trace, run.timeline.steps_until(), landmarks, np.float64)
 
 
 @dataclass(frozen=True, repr=False)
-class TraceRecords(Records):
+class TraceRecords(FilterRecords):
     """Those of somebody else's filter, in double precision. file: the trace. positions: S's.
 
     same_steps: its steps are the log's.
@@ -284,7 +284,7 @@ class TraceRecords(Records):
             return ()
         from comparisons.audit.algebra import faults_of
 
-        trace = Trace(file.path)
+        trace = TraceReader(file.path)
         several = trace.counts.snapshots > 1
         events = (one for one in trace if several or not isinstance(one, Snapshot))
         return faults_of(events, self.algebra.largest)

@@ -35,11 +35,11 @@ from comparisons.pipeline.gaps import Gaps, compute_gaps, optimum_of
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
-from comparisons.pipeline.records import Records
+from comparisons.pipeline.records import FilterRecords
 from comparisons.pipeline.size import announce_time
 from comparisons.shown import Shown, render
 from ekf_reference.core.ekf import Ekf
-from graphslam.smoother import SmootherOptions, SmootherResult
+from graphslam.smoother import SmootherEvidence, SmootherOptions
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -114,7 +114,7 @@ class Comparison(Shown):
         return self.prepared.log
 
     @property
-    def smoother(self) -> SmootherResult:
+    def smoother(self) -> SmootherEvidence:
         """The smoother, with the evidence for its optimum."""
         return self.gaps.result
 
@@ -333,7 +333,7 @@ def repeat_filter(prepared: Prepared[Any], run: EkfRun, take: Callable[[Event], 
 
 
 @dataclass(frozen=True, repr=False)
-class OwnRecords(Records):
+class OwnRecords(FilterRecords):
     """Those of our own filter, which can be run once more."""
 
     prepared: Prepared[Any]

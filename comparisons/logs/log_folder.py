@@ -47,7 +47,7 @@ from comparisons.logs.odometry import (
 )
 from comparisons.logs.scans import Clouds, Mount, Scans
 from comparisons.logs.stamps import origin, since_origin
-from comparisons.logs.table import Table
+from comparisons.logs.table import TextTable
 from comparisons.logs.validation import whole_numbers
 
 T = TypeVar("T")
@@ -98,17 +98,17 @@ def read_log_folder(folder: Path) -> Log:
     start_s, provenance = origin(meta.prior.time_s), meta.provenance
 
     def part(
-        name: str, columns: tuple[str, ...], record: Callable[[Table], T], **more: Any
+        name: str, columns: tuple[str, ...], record: Callable[[TextTable], T], **more: Any
     ) -> T | None:
         """A file's record; None where there is no such file."""
         if not (folder / name).exists():
             return None
-        table = Table(folder / name, columns, comma=True, header=True, start_s=start_s, **more)
+        table = TextTable(folder / name, columns, comma=True, header=True, start_s=start_s, **more)
         with table.locating():
             return record(table)
 
     def measured(kind: str, settings: MeasurementsModel) -> LandmarkMeasurements | None:
-        def record(table: Table) -> LandmarkMeasurements:
+        def record(table: TextTable) -> LandmarkMeasurements:
             columns: dict[str, Any] = {name: table[name] for name in table.columns}
             return LandmarkMeasurements(**columns, **settings.model_dump())
 
@@ -205,7 +205,7 @@ def write_log_folder(
 def _read_odometry(path: Path, meta: LogModel, start_s: int) -> Odometry:
     settings = meta.odometry
     columns = _ODOMETRY[settings.kind]
-    table = Table(path, columns, comma=True, header=True, gaps=COVARIANCE, start_s=start_s)
+    table = TextTable(path, columns, comma=True, header=True, gaps=COVARIANCE, start_s=start_s)
     with table.locating():
         if isinstance(settings, RelativeModel):
             covariance = symmetric(table.data[:, 4:])
@@ -243,7 +243,7 @@ def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
     _write_csv(path, names, *(getattr(s, name) for name in names))
 
 
-def _landmarks(table: Table) -> Landmarks:
+def _landmarks(table: TextTable) -> Landmarks:
     ids = whole_numbers("landmarks", "id", table["id"])
     return Landmarks(ids, table.data[:, 1:3], symmetric(table.data[:, 3:]))
 

@@ -31,7 +31,7 @@ from comparisons.logs.plain_csv import (
     split_unit,
 )
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
-from graphslam.increments import Samples, dead_reckoned
+from graphslam.increments import MotionSamples, dead_reckoned
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
 _MEASUREMENTS = (*MEASUREMENTS[:3], "landmark", *MEASUREMENTS[3:], *GAPS)
@@ -95,7 +95,7 @@ class UserFiles:
     prior_pose: tuple[float, float, float] | None = None
 
 
-class Found(NamedTuple):
+class NewLog(NamedTuple):
     """The log, comments for its `log.toml` by key, and lines on how the files were read."""
 
     log: Log
@@ -103,7 +103,7 @@ class Found(NamedTuple):
     notes: list[str]
 
 
-def build(files: UserFiles) -> Found:
+def build(files: UserFiles) -> NewLog:
     """Read the files into a log. Raises InputError naming file, line, value and expectation."""
     reading = _Reading(files)
     odometry, measurements, positions, truth, marks = reading.all()
@@ -132,7 +132,7 @@ def build(files: UserFiles) -> Found:
     reading.check_instants(log)
     notes = [f"{stream}: {_origins(t, limits=True)}" for stream, t in reading.tables.items()]
     start = _start(files, log)
-    return Found(log, _remarks(start), [*notes, _start_words(log, start), *reading.notes])
+    return NewLog(log, _remarks(start), [*notes, _start_words(log, start), *reading.notes])
 
 
 class _Reading:
@@ -530,7 +530,7 @@ def _laid(log: Log, plane: Positions) -> tuple[Log, str]:
 def _reckoned(log: Log) -> Reckoned:
     """The odometry from the origin."""
     odometry, time_s = log.odometry, log.odometry.time_s
-    moved: RelativePoses | Samples
+    moved: RelativePoses | MotionSamples
     if isinstance(odometry, RelativePoses):
         moved, time_s = odometry, np.append(log.prior.time_s, time_s)
     else:

@@ -147,7 +147,7 @@ def wheel_samples(
     controls: Iterable[Array],
     hold_s: Array,
     integration: Integration | None = None,
-) -> increments.Samples:
+) -> increments.MotionSamples:
     """Motions under controls (N,) each, held so long (N,), by graphslam's vehicle models."""
     (first, second), noise = controls, odometry.noise
     added = increments.Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)

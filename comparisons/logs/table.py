@@ -31,7 +31,7 @@ _BETWEEN = re.compile(r"[=,#\[\]{}\n]")
 """Ends a dotted key of TOML."""
 
 
-class Table:
+class TextTable:
     """A rectangular text file: one record per line, numbers separated by blanks or commas.
 
     Lines that are empty or start with `#` are passed over, and a header line when `header` says so.

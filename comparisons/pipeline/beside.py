@@ -27,7 +27,7 @@ ASSOCIATION_PAYS_FROM = 10_000
 """Poses and measurements from which an association by the smoother is worth a second process."""
 
 
-class Beside(Generic[T]):
+class BackgroundCall(Generic[T]):
     """One call of a function. cpu_s: of the other process, known with the result."""
 
     def __init__(
@@ -57,7 +57,7 @@ class Beside(Generic[T]):
         """Whether another process has the work."""
         return self._future is not None
 
-    def __enter__(self) -> Beside[T]:
+    def __enter__(self) -> BackgroundCall[T]:
         """Return itself."""
         return self
 

@@ -14,7 +14,7 @@ from comparisons.pipeline.prepared import Preparation, Prepared
 if TYPE_CHECKING:
     from comparisons.adapters.ekf_run import EkfRun
     from comparisons.config import Configured
-    from comparisons.pipeline.beside import Beside
+    from comparisons.pipeline.beside import BackgroundCall
     from comparisons.pipeline.known import Known
 
 
@@ -28,7 +28,7 @@ class Extension(Preparation, Check):
         """settings: its own. config: the job's, which has them."""
         self.settings, self.config = settings, config
 
-    def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[Any] | None:
+    def start(self, prepared: Prepared[Any], run: EkfRun) -> BackgroundCall[Any] | None:
         """Start what `find` needs and the smoother does not, in a process beside it.
 
         Its result is found in `known.started`, by the extension's name.

@@ -35,7 +35,7 @@ from comparisons.checks.agreement import (
 )
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.clock import Clock
 from comparisons.shown import Brief
 from comparisons.statistics import ROUNDING, covariance_gap, units
@@ -44,7 +44,7 @@ from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal
 from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.problem import SlamProblem
-from graphslam.smoother import SmootherOptions, SmootherResult
+from graphslam.smoother import SmootherEvidence, SmootherOptions
 
 if TYPE_CHECKING:
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 V = TypeVar("V")
 Frozen = tuple[LinearProblem, LinearProblem, Marginal, Marginal]
 """The linear systems of F1 and F2, and the estimates that solve them."""
-Optimum = tuple[SmootherResult, Estimate]
+Optimum = tuple[SmootherEvidence, Estimate]
 """S with its evidence, and as an estimate."""
 Solver = Callable[[SlamProblem, Array], Optimum]
 """Gives S of a problem whose poses are of times (K,)."""
@@ -76,7 +76,7 @@ class Gaps(Brief):
     problem: SlamProblem
     recorded: LinearProblem
     model: LinearProblem
-    result: SmootherResult
+    result: SmootherEvidence
     smoothed: Estimate
     agreement: Agreement
 
@@ -285,7 +285,7 @@ def compute_gaps(
     size = problem.pose_count, len(problem.z), problem.landmark_count
     with clock.stage("frozen"):  # beside S where they take long, for none needs another
         progress("fixed-linearisation smoothers", 0, 0)
-        work = Beside(solve_frozen, problem, run, size=size, pays_from=PAYS_FROM)
+        work = BackgroundCall(solve_frozen, problem, run, size=size, pays_from=PAYS_FROM)
     with work:
         frozen = None if work.elsewhere else _finished(work, clock)
         try:
@@ -319,7 +319,7 @@ def solve_frozen(problem: SlamProblem, run: EkfRun) -> Frozen:
     return recorded, model, solve_recorded(recorded, run), solve_model(model, run)
 
 
-def _finished(work: Beside[Frozen], clock: Clock) -> Frozen:
+def _finished(work: BackgroundCall[Frozen], clock: Clock) -> Frozen:
     with clock.stage("frozen"):
         found = work.result()
     clock.add_cpu("frozen", work.cpu_s)

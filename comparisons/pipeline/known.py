@@ -21,19 +21,19 @@ from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.log import Positions
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.gaps import Gaps, Optimum
 from comparisons.pipeline.prepared import Prepared
-from comparisons.pipeline.records import Records
+from comparisons.pipeline.records import FilterRecords
 from comparisons.shown import Brief
 from graphslam.increments import dead_reckoned
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Given(Brief):
+class EstimateUnderCheck(Brief):
     """Somebody else's estimate.
 
     estimate: as it was handed in. inside: its poses within the log's time. optimum: the smoother at
@@ -80,10 +80,10 @@ class Known(Findings, Brief):
     ways: Mapping[str, Array] | None = None
     without: str = "the job runs no filter"
     run: EkfRun | None = None
-    kept: Records | None = None
+    kept: FilterRecords | None = None
     beside: FilterSetup | None = None
-    given: Given | None = None
-    started: Mapping[str, Beside[Any]] = field(default_factory=dict)
+    given: EstimateUnderCheck | None = None
+    started: Mapping[str, BackgroundCall[Any]] = field(default_factory=dict)
     findings: dict[str, Finding] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
 
@@ -98,7 +98,7 @@ class Known(Findings, Brief):
         return self.records.gaps
 
     @property
-    def records(self) -> Records:
+    def records(self) -> FilterRecords:
         """What the records of that filter say."""
         return self._present(self.kept)
 
@@ -108,7 +108,7 @@ class Known(Findings, Brief):
         return self._present(self.beside)
 
     @property
-    def result(self) -> SmootherResult:
+    def result(self) -> SmootherEvidence:
         """S with its evidence."""
         return self._present(self.solved)[0]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class Records(Brief):
+class FilterRecords(Brief):
     """Those of a filter that anybody has; each kind says besides what it keeps.
 
     What explains a gap is looked for only where there is one.

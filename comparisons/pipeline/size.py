@@ -1,6 +1,6 @@
 """Is a log too large for this machine, or for a user who waits? Asked before the work.
 
-The estimates are of a run's peak of memory and its time, fitted to what benchmarks/scale.py
+The estimates are of a run's peak of memory and its time, fitted to what research/scale.py
 measures (docs/scale.md); a run is refused only where it needs more memory than the machine could
 give it, and announced where it takes long.
 """

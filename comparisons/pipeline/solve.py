@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from comparisons.adapters.smoother_association import Optimum, OwnAssociation, OwnAssociator
+from comparisons.adapters.smoother_association import Optimum, OwnAssociator, SmootherAssociation
 from comparisons.adapters.smoother_input import (
     assemble,
     position_rows,
@@ -28,7 +28,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
-from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
+from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, BackgroundCall
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare
@@ -36,7 +36,7 @@ from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown, render
 from graphslam.association_variants import variants
 from graphslam.misread_edges import EdgeReading, few_misread, misread_edges
-from graphslam.smoother import SmootherOptions, SmootherResult
+from graphslam.smoother import SmootherEvidence, SmootherOptions
 from graphslam.unclosed import Unclosed, unclosed_passage
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Solution(Shown):
 
     prepared: Prepared[SolveConfig]
     landmark_index: Index
-    result: SmootherResult
+    result: SmootherEvidence
     estimate: Estimate
     association_check: AssociationCheck | None
     misread: EdgeReading | None = None
@@ -262,15 +262,15 @@ def solve(
 def _check(
     prepared: Prepared[SolveConfig],
     associator: OwnAssociator,
-    own: OwnAssociation,
-    result: SmootherResult,
+    own: SmootherAssociation,
+    result: SmootherEvidence,
     estimate: Estimate,
 ) -> AssociationCheck:
     """Compare the association with others of the same measurements, two at a time."""
     problem, clock, ways = result.problem, prepared.clock, variants()
     given = Optimum.of(own, result)
     size = problem.pose_count, len(associator.time_s), problem.landmark_count
-    second = Beside(
+    second = BackgroundCall(
         associator.alternatives, ways[1::2], given, size=size, pays_from=ASSOCIATION_PAYS_FROM
     )
     with second:

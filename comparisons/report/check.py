@@ -57,7 +57,7 @@ from comparisons.report.html.map import (
 from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.job import Report
-from comparisons.report.ladder import SMOOTHER, Step, gap_steps
+from comparisons.report.ladder import SMOOTHER, LadderStep, gap_steps
 from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import SmootherResult, VerdictResult
 from comparisons.report.panels import external_panels, filters_compared
@@ -392,7 +392,7 @@ class CheckResult(VerdictResult):
     departure: LeftOut[Departure | None]
 
 
-def check_ladder(result: CheckResult) -> list[Step]:
+def check_ladder(result: CheckResult) -> list[LadderStep]:
     """Return the gaps of an external estimate.
 
     With a trace they are those of a run; a grade does not need the last one. Without a trace there
@@ -408,7 +408,7 @@ def check_ladder(result: CheckResult) -> list[Step]:
     sigma = max((one.distance_sigma for one in blocks), default=None)
     limit = largest_distance(len(result.landmarks), POINT.width)
     near = sigma is None or sigma <= limit
-    to_smoother = Step(
+    to_smoother = LadderStep(
         gap="optimum",
         above=EXTERNAL,
         below=SMOOTHER,
@@ -421,7 +421,7 @@ def check_ladder(result: CheckResult) -> list[Step]:
     return [*_reference_steps(result), to_smoother]
 
 
-def _reference_steps(result: CheckResult) -> list[Step]:
+def _reference_steps(result: CheckResult) -> list[LadderStep]:
     """The estimate against the reference that it is nearest to, if that is not the smoother."""
     nearest = result.nearest
     if nearest is None or SMOOTHER in nearest.name:
@@ -429,7 +429,7 @@ def _reference_steps(result: CheckResult) -> list[Step]:
     ratios = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
     like = result.grade in ("equal", "like")
     return [
-        Step(
+        LadderStep(
             gap="reference",
             above=EXTERNAL,
             below=nearest.name.removeprefix("the "),

@@ -24,7 +24,7 @@ TRUTH = "truth"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class LadderStep:
     """One gap between two neighbouring estimates.
 
     above, below: the two estimates. A step whose `above` is not the `below` of the step before
@@ -73,7 +73,7 @@ class Step:
         return None if passes else self.limit
 
 
-def ladder(result: Result) -> list[Step]:
+def ladder(result: Result) -> list[LadderStep]:
     """Return the gaps of a run from the EKF down to the truth, if the log has it."""
     failed = {cause.gap for cause in result.causes}
     return [
@@ -89,7 +89,7 @@ def gap_steps(
     *,
     verified: bool = True,
     first: str = EKF,
-) -> list[Step]:
+) -> list[LadderStep]:
     """Return the three gaps between filter and smoother.
 
     failed: gaps of the causes. verified: of the smoother's optimum. first: the filter's name. The
@@ -97,7 +97,7 @@ def gap_steps(
     """
     right = verified and FILTER_FAULTS.isdisjoint(failed)
     return [
-        Step(
+        LadderStep(
             gap=name,
             above=above,
             below=below,
@@ -139,13 +139,13 @@ def gap_steps(
     ]
 
 
-def truth_steps(truth: TruthGap | None, failed: Collection[str]) -> list[Step]:
+def truth_steps(truth: TruthGap | None, failed: Collection[str]) -> list[LadderStep]:
     """Return the gap between the smoother and the truth, by what is farthest off; none without."""
     if truth is None or not truth.distances:
         return []
     worst = max(truth.distances, key=lambda one: (one.sigma or 0.0) / one.limit)
     return [
-        Step(
+        LadderStep(
             gap="truth",
             above=SMOOTHER,
             below=TRUTH,
@@ -157,13 +157,13 @@ def truth_steps(truth: TruthGap | None, failed: Collection[str]) -> list[Step]:
     ]
 
 
-def _association_steps(result: Result, failed: Collection[str]) -> list[Step]:
+def _association_steps(result: Result, failed: Collection[str]) -> list[LadderStep]:
     """The smoother against itself with its own association, where that ran."""
     entry = result.model_dump(include={"own_association"}).get("own_association")
     if not isinstance(entry, dict):
         return []
     return [
-        Step(
+        LadderStep(
             gap="association",
             above=SMOOTHER,
             below=OWN_ASSOCIATION,

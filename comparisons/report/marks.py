@@ -45,7 +45,7 @@ class Curve:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Band:
+class FilledBand:
     """What lies between low and high at x: (n,) each. lack: why it has a gap where it has one."""
 
     name: str
@@ -75,7 +75,7 @@ class Panel:
     title: str
     x_label: str
     curves: tuple[Curve, ...]
-    bands: tuple[Band, ...]
+    bands: tuple[FilledBand, ...]
     logarithmic: bool = False
     level: float | None = None
     moments: tuple[Moment, ...] = ()
@@ -88,7 +88,7 @@ def nis_panel(sensor: SensorInnovations, colour: str, at: Array, x_label: str) -
         title=f"NIS of {sensor.sensor} ({dof} dof)",
         x_label=x_label,
         curves=(Curve(f"{sensor.sensor}, averaged", colour, at, w.mean),),
-        bands=(Band(name="95 % band", colour="#999999", x=at, low=w.low, high=w.high),),
+        bands=(FilledBand(name="95 % band", colour="#999999", x=at, low=w.low, high=w.high),),
         logarithmic=True,
         level=float(dof),
     )

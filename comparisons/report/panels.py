@@ -30,8 +30,8 @@ from comparisons.report.marks import (
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
     TIME,
-    Band,
     Curve,
+    FilledBand,
     Moment,
     Panel,
     nis_panel,
@@ -301,7 +301,7 @@ def _squared(curves: Sequence[Curve], single: tuple[float, float]) -> Panel:
         title="NEES of the pose (3 dof)",
         x_label=TIME,
         curves=tuple(curves),
-        bands=(Band(name="95 % band", colour="#999999", x=curves[0].x, low=low, high=high),),
+        bands=(FilledBand(name="95 % band", colour="#999999", x=curves[0].x, low=low, high=high),),
         logarithmic=True,
     )
 
@@ -328,7 +328,9 @@ def _against_smoother(
         x_label=TIME,
         curves=(Curve(name, EKF_COLOUR, f.time_s, squares),),
         bands=(
-            Band(name="95 % band", colour="#999999", x=f.time_s, low=low, high=high, lack=lack),
+            FilledBand(
+                name="95 % band", colour="#999999", x=f.time_s, low=low, high=high, lack=lack
+            ),
         ),
         logarithmic=True,
     )
@@ -351,10 +353,12 @@ def _errors(
     for i, (label, unit) in enumerate(COMPONENTS.values()):
         spread = 3.0 * unit * sigma[:, i]
         curve = Curve(name, colour, time_s, unit * error[:, i])
-        bands: tuple[Band, ...] = ()
+        bands: tuple[FilledBand, ...] = ()
         if np.isfinite(spread).any():
             bands = (
-                Band(name="3 sigma", colour=colour, x=time_s, low=-spread, high=spread, lack=lack),
+                FilledBand(
+                    name="3 sigma", colour=colour, x=time_s, low=-spread, high=spread, lack=lack
+                ),
             )
         panels.append(Panel(title=label, x_label=TIME, curves=(curve,), bands=bands, level=0.0))
     return tuple(panels)
@@ -372,7 +376,7 @@ def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:
         curves.append(Curve(name, _COLOURS[i % len(_COLOURS)], lag, np.array(one.autocorrelation)))
     lags = np.array((1.0, max(curve.x[-1] for curve in curves)))
     widest = np.full(2, max(max(one.band) for one in series))
-    band = Band(name="95 % band", colour="#999999", x=lags, low=-widest, high=widest)
+    band = FilledBand(name="95 % band", colour="#999999", x=lags, low=-widest, high=widest)
     return Panel(
         title="autocorrelation of innovations, by lag",
         x_label="lag",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO, BlockAgreement
 from comparisons.figures import band, in_sigma, rounded, rows_of, shown
-from comparisons.report.ladder import Step
+from comparisons.report.ladder import LadderStep
 from comparisons.report.models import EkfResult, LogResult, SmootherResult
 from comparisons.words import SPENT, Row
 
@@ -116,7 +116,7 @@ def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None
     ]
 
 
-def gap_rows(steps: Sequence[Step]) -> list[Row]:
+def gap_rows(steps: Sequence[LadderStep]) -> list[Row]:
     """Return the gaps of the chain of estimates; what exceeds its limit is marked.
 
     A gap that fails although its means are within the limit fails by covariance or error.

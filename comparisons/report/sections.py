@@ -125,7 +125,7 @@ def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = Non
     )
 
 
-def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> SmootherResult:
+def smoother_result(result: smoother.SmootherEvidence, estimate: Estimate) -> SmootherResult:
     """The smoother and its evidence. estimate: its own, for times and names of landmarks."""
     options, optimality = result.options, result.optimality
     explored = optimality.exploration

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from comparisons.config import EkfConfig, JobConfig, Section, setting_default
+from comparisons.config import EkfConfig, JobConfig, SettingsGroup, setting_default
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
 from comparisons.figures import Model
@@ -83,13 +83,15 @@ def setting_lines(
     return sorted(lines, key=lambda line: (not line.changed, not line.document))
 
 
-def _leaves(section: Section, below: str = "") -> Iterator[tuple[str, Any, Any, str]]:
+def _leaves(section: SettingsGroup, below: str = "") -> Iterator[tuple[str, Any, Any, str]]:
     """Path, value, default and meaning of each setting; extensions by their names."""
     for name, field in type(section).model_fields.items():
         value, path = getattr(section, name), f"{below}{name}"
-        if isinstance(value, Section):
+        if isinstance(value, SettingsGroup):
             yield from _leaves(value, f"{path}.")
-        elif isinstance(value, Mapping) and all(isinstance(v, Section) for v in value.values()):
+        elif isinstance(value, Mapping) and all(
+            isinstance(v, SettingsGroup) for v in value.values()
+        ):
             yield path, tuple(value) or "none", "none", "features that take part besides"
             for key, part in value.items():
                 yield from _leaves(part, f"{key}.")

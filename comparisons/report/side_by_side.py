@@ -71,19 +71,19 @@ _LEFT_OUT = {f"smoother.{name}" for name, one in _SMOOTHER if one.mark.side == "
 
 
 @dataclass(frozen=True)
-class Found:
+class ComparedResult:
     """A result. words: what it is, by name. metrics: its figures, None where it has no such."""
 
     words: Mapping[str, str]
     metrics: Mapping[str, float | None]
 
 
-def read_results(folders: Sequence[Path]) -> list[Found]:
+def read_results(folders: Sequence[Path]) -> list[ComparedResult]:
     """Results of any job, from its folder. Raises InputError."""
     return [_read(folder) for folder in folders]
 
 
-def side_by_side(results: Sequence[Found], only: Sequence[str] = ()) -> list[Row]:
+def side_by_side(results: Sequence[ComparedResult], only: Sequence[str] = ()) -> list[Row]:
     """Names, and a cell per result: what they are, the verdicts, all figures that differ.
 
     only: patterns of the figures that are wanted instead, whether they differ or not; one without
@@ -152,7 +152,7 @@ def write_table(titles: Sequence[str], rows: Sequence[Row], path: Path) -> None:
     )
 
 
-def _read(folder: Path) -> Found:
+def _read(folder: Path) -> ComparedResult:
     name = next((name for name in _FILES if (folder / f"{name}.json").is_file()), None)
     if name is None:
         known = ", ".join(f"{one}.json" for one in _FILES)
@@ -181,7 +181,7 @@ def _read(folder: Path) -> Found:
         for name, one in every.items()
         if name not in _LEFT_OUT and name.partition(".")[0] not in _ASIDE
     }
-    return Found(words, figures)
+    return ComparedResult(words, figures)
 
 
 def _words(found: Mapping[str, Any], job: str) -> dict[str, str]:

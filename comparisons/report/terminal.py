@@ -16,7 +16,7 @@ from comparisons.errors import printable
 from comparisons.words import Row, cause_name, facts
 
 if TYPE_CHECKING:
-    from comparisons.report.ladder import Step
+    from comparisons.report.ladder import LadderStep
     from comparisons.words import Cause
 
 WIDTH, MOST = 80, 5
@@ -53,7 +53,7 @@ class Summary:
     explained: Sequence[str] = ()
     reasons: Sequence[str] = ()
     remarks: Sequence[str] = ()
-    steps: Sequence[Step] = ()
+    steps: Sequence[LadderStep] = ()
     lines: Sequence[tuple[str, str]] = ()
     rows: Sequence[Row] = ()
 
@@ -240,7 +240,7 @@ def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def _ladder(steps: Sequence[Step]) -> list[Line]:
+def _ladder(steps: Sequence[LadderStep]) -> list[Line]:
     """Return a line for each gap, from estimate to estimate, below a heading."""
     if not steps:
         return []

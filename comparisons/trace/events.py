@@ -24,7 +24,7 @@ heading, added too, but the heading goes round. so3, se23: an attitude, or attit
 position, with the error on the world's side (left) or the body's (right)."""
 
 
-class Prior(NamedTuple):
+class TracePrior(NamedTuple):
     """The error state begins: e ~ N(0, covariance). dims: entries of each block's error.
 
     charts: one of CHARTS by block; none where all are additive.
@@ -152,10 +152,10 @@ class Directions(NamedTuple):
     blind: tuple[str, ...]
 
 
-Event = Prior | Predict | Update | Augment | Clone | Remove | Reset | Snapshot | Directions
+Event = TracePrior | Predict | Update | Augment | Clone | Remove | Reset | Snapshot | Directions
 
 
-class Sensor(NamedTuple):
+class SensorDescription(NamedTuple):
     """gate: probability with which the filter's gate lets a sound measurement pass, if it has one.
 
     components: names of the residual's entries; empty where none were given.

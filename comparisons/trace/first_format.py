@@ -12,7 +12,7 @@ import numpy as np
 
 from comparisons.trace.batch import COLUMNS
 from comparisons.trace.events import ADDITIVE
-from comparisons.trace.rows import Cell, Row, distinct
+from comparisons.trace.rows import Cell, StoredRow, distinct
 
 _MATRICES = (
     *("jacobian", "noise", "noise_jacobian", "residual", "correction", "gain"),
@@ -33,7 +33,7 @@ class FirstFormat:
         self._last: dict[tuple[Any, Any], tuple[Any, dict[str, Cell | None]]] = {}
         self._bytes = 0
 
-    def chunk(self, file: sqlite3.Connection, after: int) -> Iterator[Row]:
+    def chunk(self, file: sqlite3.Connection, after: int) -> Iterator[StoredRow]:
         """Yield some hundred rows, or some megabytes. after: number of the last event."""
         self._bytes = 0
         asked = "SELECT * FROM event WHERE number > ? ORDER BY number LIMIT ?"
@@ -42,7 +42,7 @@ class FirstFormat:
             if self._bytes > _CHUNK_BYTES:
                 break
 
-    def row(self, row: tuple[Any, ...]) -> Row:
+    def row(self, row: tuple[Any, ...]) -> StoredRow:
         """Return a row of the table as an event is made of it."""
         number, kind, time_s, sensor, blocks, used = row[:6]
         before = self._before(kind, sensor, blocks)
@@ -57,7 +57,7 @@ class FirstFormat:
                 cells.append(None if blob is None else self._cell(blob))
         names = distinct(_json(blocks))
         text = _text(kind, sensor, row[15])
-        return Row(number, kind, time_s, names, text, used, tuple(cells))
+        return StoredRow(number, kind, time_s, names, text, used, tuple(cells))
 
     def _before(self, kind: Any, sensor: Any, blocks: Any) -> dict[str, Cell | None]:
         """Matrices of the event before of a kind and sensor, if it was on the same blocks."""

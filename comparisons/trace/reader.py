@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from comparisons.errors import InputError, check_regular, quoted, shorten
 from comparisons.trace.batch import unpack
-from comparisons.trace.events import Event, Sensor
+from comparisons.trace.events import Event, SensorDescription
 from comparisons.trace.rows import EventReader, batch_rows, distinct, is_block
 
 APPLICATION = 0x534C4154
@@ -86,7 +86,7 @@ class Stored(NamedTuple):
     data: bytes
 
 
-class Trace:
+class TraceReader:
     """A trace that is read; iterate over its events in order.
 
     sensors: those that were described. remarks: what a reader should know of the file. unsound: by
@@ -99,7 +99,7 @@ class Trace:
     def __init__(self, path: Path) -> None:
         """Open a file and check what it is, not yet its events."""
         self.path = path
-        self.sensors: dict[str, Sensor] = {}
+        self.sensors: dict[str, SensorDescription] = {}
         self.remarks: tuple[str, ...] = ()
         self.unsound: dict[int, str] = {}
         self.singular: dict[int, str] = {}
@@ -256,7 +256,7 @@ class Trace:
                 raise InputError(f"{self.path}: table {quoted(name)} is not as a recorder's")
         return int(version)
 
-    def _sensor(self, name: Any, gate: Any, components: Any) -> Sensor:
+    def _sensor(self, name: Any, gate: Any, components: Any) -> SensorDescription:
         names = distinct(_json("[]" if components is None else components))
         sound = gate is None or (isinstance(gate, float) and 0.0 < gate < 1.0)
         if not isinstance(name, str) or not sound or names is None:
@@ -264,7 +264,7 @@ class Trace:
                 f"{self.path}, sensor {quoted(name)}: gate {quoted(gate)} or components "
                 f"{quoted(components)} are not as expected: a probability and a list of names"
             )
-        return Sensor(gate, names)
+        return SensorDescription(gate, names)
 
 
 class _RawFile:
@@ -337,7 +337,7 @@ def last_state(path: Path) -> tuple[int, list[list[Any]]]:
     Raises:
         InputError: The file is no trace in SQLite, or of an earlier format.
     """
-    trace = Trace(path)
+    trace = TraceReader(path)
     if trace._version != VERSION:
         raise InputError(f"{path}: is not of format {VERSION} in SQLite; record a new file")
     with trace._open() as file:

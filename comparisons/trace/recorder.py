@@ -32,7 +32,7 @@ PRIOR, PREDICT, UPDATE, AUGMENT, CLONE, REMOVE, RESET, SNAPSHOT, DIRECTIONS = ra
 Blob = bytes | None
 
 
-class Measured(TypedDict, total=False):
+class MeasurementNotes(TypedDict, total=False):
     """What may be said of a measurement beside what the filter used.
 
     correction: (N,) what was added to the estimate of all blocks, if it is to be checked. gain:
@@ -47,12 +47,12 @@ class Measured(TypedDict, total=False):
     weight: ArrayLike
 
 
-class Begun(TypedDict, total=False):
+class AugmentationNotes(TypedDict, total=False):
     """What may be said of a new block beside what the filter used.
 
     point: the blocks' numbers about which it was linearised. after: its own numbers. numbers: of
-    what was measured, in the log. weight: as of `Measured`; 0 where no measurement tells it, but a
-    prior. chart: of its error, one of events.CHARTS.
+    what was measured, in the log. weight: as of `MeasurementNotes`; 0 where no measurement
+    tells it, but a prior. chart: of its error, one of events.CHARTS.
     """
 
     point: ArrayLike
@@ -262,7 +262,7 @@ class Recorder:
         H: ArrayLike,
         R: ArrayLike,
         blocks: Iterable[str] | None = None,
-        **more: Unpack[Measured],
+        **more: Unpack[MeasurementNotes],
     ) -> None:
         """Record a measurement that the filter used: residual = H e + v, v ~ N(0, R).
 
@@ -272,7 +272,7 @@ class Recorder:
             H: (m, n) on the blocks.
             R: (m, m).
             blocks: Those that H stands on.
-            more: What else is to be checked, as of `Measured`.
+            more: What else is to be checked, as of `MeasurementNotes`.
         """
         self._measured(1, sensor, residual, (H, R), blocks, more)
 
@@ -283,7 +283,7 @@ class Recorder:
         H: ArrayLike,
         R: ArrayLike,
         blocks: Iterable[str] | None = None,
-        **more: Unpack[Measured],
+        **more: Unpack[MeasurementNotes],
     ) -> None:
         """Record a measurement that the filter's gate rejected; arguments as of `update`.
 
@@ -293,7 +293,7 @@ class Recorder:
             H: (m, n) on the blocks.
             R: (m, m).
             blocks: Those that H stands on.
-            more: As of `Measured`; without correction and gain.
+            more: As of `MeasurementNotes`; without correction and gain.
         """
         self._measured(0, sensor, residual, (H, R), blocks, more)
 
@@ -304,7 +304,7 @@ class Recorder:
         residual: ArrayLike,
         by: tuple[ArrayLike, ArrayLike],
         blocks: Iterable[str] | None,
-        more: Measured,
+        more: MeasurementNotes,
     ) -> None:
         text, n = self._size(blocks)
         m = residual.size if type(residual) is np.ndarray else np.size(residual)
@@ -345,7 +345,7 @@ class Recorder:
         G_z: ArrayLike,
         R: ArrayLike,
         blocks: Iterable[str] | None = None,
-        **more: Unpack[Begun],
+        **more: Unpack[AugmentationNotes],
     ) -> None:
         """Record a new block, behind all others: e_new = G_x e + G_z v, v ~ N(0, R).
 
@@ -355,7 +355,7 @@ class Recorder:
             G_z: (d, m); m may be 0 where nothing is added to what the other blocks tell.
             R: (m, m).
             blocks: Those that it is initialised from.
-            more: What else is to be checked, as of `Begun`.
+            more: What else is to be checked, as of `AugmentationNotes`.
         """
         text, n = self._size(blocks)
         by_noise = self._numbers("G_z", G_z)

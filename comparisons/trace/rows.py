@@ -23,10 +23,10 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Reset,
     Snapshot,
+    TracePrior,
     Update,
 )
 
@@ -60,7 +60,7 @@ class Cell:
         self.checked = 0
 
 
-class Row(NamedTuple):
+class StoredRow(NamedTuple):
     """An event as it is stored, before it is checked.
 
     blocks: names, None where they are no list of distinct texts. text: its own, as the sensor's
@@ -76,7 +76,7 @@ class Row(NamedTuple):
     cells: tuple[Cell | None, ...]
 
 
-def batch_rows(batch: Batch, first: int) -> Iterable[Row]:
+def batch_rows(batch: Batch, first: int) -> Iterable[StoredRow]:
     """Yield the rows of a batch. first: number of its first event."""
     cells: list[Cell | None] = [Cell(one) for one in batch.arrays]
     cells.append(None)  # for -1
@@ -89,7 +89,7 @@ def batch_rows(batch: Batch, first: int) -> Iterable[Row]:
         kind, count = columns[at]
         time = None if time_s != time_s else time_s
         own = tuple([cells[one] for one in matrices[:count]])
-        yield Row(number, kind, time, names[blocks], said[text], used, own)
+        yield StoredRow(number, kind, time, names[blocks], said[text], used, own)
 
 
 class EventReader:
@@ -113,7 +113,7 @@ class EventReader:
         self._sigma: dict[str, Array] = {}
         self._unchecked: list[tuple[int, str, bool, Array, Blocks]] = []
         self._faults: dict[tuple[int, bool], tuple[Array, str]] = {}
-        self._make: dict[str, Callable[[Row], Event]] = {
+        self._make: dict[str, Callable[[StoredRow], Event]] = {
             kind: getattr(self, f"_{kind}") for kind in KINDS
         }
 
@@ -122,7 +122,7 @@ class EventReader:
         """Name, dimension and chart of every block after the last event."""
         return [[name, dim, self._charts[name]] for name, dim in self._dims.items()]
 
-    def events(self, rows: Iterable[Row]) -> list[Event]:
+    def events(self, rows: Iterable[StoredRow]) -> list[Event]:
         """Return the next events.
 
         Raises:
@@ -136,14 +136,16 @@ class EventReader:
             found.extend(map(self._event, rows))
             self._check_covariances()
         for event in found if self._faults else ():
-            own = event.covariance if isinstance(event, Prior) else getattr(event, "noise", None)
+            own = (
+                event.covariance if isinstance(event, TracePrior) else getattr(event, "noise", None)
+            )
             fault = self._faults.get((id(own), isinstance(event, Update)))
             if fault is not None:
                 kind = self.singular if fault[1].endswith(_IS_SINGULAR) else self.unsound
                 kind[event.number] = fault[1]
         return found
 
-    def _event(self, row: Row) -> Event:
+    def _event(self, row: StoredRow) -> Event:
         number, kind, time_s = row[:3]
         if number != self.at + 1:
             self._refuse(number, f"stands after event {self.at}, expected {self.at + 1}")
@@ -158,7 +160,7 @@ class EventReader:
         self.at = number
         return event
 
-    def _prior(self, row: Row) -> Prior:
+    def _prior(self, row: StoredRow) -> TracePrior:
         if self._dims:
             self._refuse(row.number, "is a second prior; a filter that begins anew has a new trace")
         names, (dims, charts) = row.blocks or (), _pair(row.text)
@@ -171,16 +173,16 @@ class EventReader:
         p = self._covariance(row, 0, "covariance (P)", self._size)
         self._begins(names, dims, np.diagonal(p))
         plain = () if set(charts) == {ADDITIVE} else tuple(charts)
-        return Prior(row.number, row.time_s, names, tuple(dims), p, self._own(row, 1), plain)
+        return TracePrior(row.number, row.time_s, names, tuple(dims), p, self._own(row, 1), plain)
 
-    def _predict(self, row: Row) -> Predict:
+    def _predict(self, row: StoredRow) -> Predict:
         n = self._on(row)
         f = self._shaped(row, 0, n, n)
         q = self._covariance(row, 1, "noise (Q)", n)
         points = self._own(row, 2), self._own(row, 3)
         return Predict(row.number, row.time_s, row.blocks or (), f, q, *points)
 
-    def _update(self, row: Row) -> Update:
+    def _update(self, row: StoredRow) -> Update:
         n = self._on(row)
         if not isinstance(row.text, str):
             self._refuse(row.number, f"sensor {quoted(row.text)}, expected a name")
@@ -202,7 +204,7 @@ class EventReader:
             *(correction, gain, self._own(row, 5), self._own(row, 6), self._weight(row, 7)),
         )
 
-    def _augment(self, row: Row) -> Augment:
+    def _augment(self, row: StoredRow) -> Augment:
         n = self._on(row)
         name, d, chart = self._new(row)
         own = row.cells[1]
@@ -219,7 +221,7 @@ class EventReader:
             *(row.number, row.time_s, name, row.blocks or (), g_x, g_z, r, *points, weight, chart)
         )
 
-    def _clone(self, row: Row) -> Clone:
+    def _clone(self, row: StoredRow) -> Clone:
         d, blocks = self._on(row), row.blocks or ()
         if len(blocks) != 1:
             self._refuse(row.number, f"clones {len(blocks)} blocks, expected one")
@@ -229,7 +231,7 @@ class EventReader:
         self._changed(row.number)
         return Clone(row.number, row.time_s, name, blocks[0])
 
-    def _remove(self, row: Row) -> Remove:
+    def _remove(self, row: StoredRow) -> Remove:
         self._on(row)
         blocks = row.blocks or ()
         for name in blocks:
@@ -239,18 +241,18 @@ class EventReader:
         self._changed(row.number)
         return Remove(row.number, row.time_s, blocks)
 
-    def _reset(self, row: Row) -> Reset:
+    def _reset(self, row: StoredRow) -> Reset:
         n = self._on(row)
         return Reset(row.number, row.time_s, row.blocks or (), self._shaped(row, 0, n, n))
 
-    def _snapshot(self, row: Row) -> Snapshot:
+    def _snapshot(self, row: StoredRow) -> Snapshot:
         n = self._on(row)
         p, error = self._shaped(row, 0, n, n), None
         if row.cells[2] is not None:
             error = self._shaped(row, 2, n)
         return Snapshot(row.number, row.time_s, row.blocks or (), p, self._own(row, 1), error)
 
-    def _directions(self, row: Row) -> Directions:
+    def _directions(self, row: StoredRow) -> Directions:
         n = self._on(row)
         names = blind = None
         if isinstance(row.text, dict):
@@ -260,7 +262,7 @@ class EventReader:
         basis = self._shaped(row, 0, n, len(names))
         return Directions(row.number, row.time_s, row.blocks or (), basis, names, blind)
 
-    def _on(self, row: Row) -> int:
+    def _on(self, row: StoredRow) -> int:
         """How many entries the blocks of an event have together."""
         blocks = row.blocks
         if not blocks:
@@ -276,7 +278,7 @@ class EventReader:
             found = self._named[blocks] = sum(self._dims[name] for name in blocks)
         return found
 
-    def _new(self, row: Row) -> tuple[str, int, str]:
+    def _new(self, row: StoredRow) -> tuple[str, int, str]:
         """Name, dimension and chart of a block that begins."""
         if not is_block(row.text):
             fault = f"text {quoted(row.text)}, expected a name, a dimension and a chart"
@@ -298,7 +300,7 @@ class EventReader:
         if self._size > MOST_ENTRIES:
             self._refuse(number, f"makes the state larger than {MOST_ENTRIES} entries")
 
-    def _weight(self, row: Row, column: int) -> float:
+    def _weight(self, row: StoredRow, column: int) -> float:
         """A share of a measurement's information; all of it where none is stored."""
         if row.cells[column] is None:
             return 1.0
@@ -307,12 +309,12 @@ class EventReader:
             self._refuse(row.number, f"weight is {weight:g}, expected 0 to 1")
         return float(weight)
 
-    def _own(self, row: Row, column: int) -> Array | None:
+    def _own(self, row: StoredRow, column: int) -> Array | None:
         """Numbers of any count (k,), if they are stored."""
         return None if row.cells[column] is None else self._flat(row, column)
 
     def _covariance(
-        self, row: Row, column: int, name: str, n: int, *, definite: bool = False
+        self, row: StoredRow, column: int, name: str, n: int, *, definite: bool = False
     ) -> Array:
         """A covariance (n, n), which is checked with others; NaN where it is no finite numbers."""
         own, flag = row.cells[column], 1 + definite
@@ -326,7 +328,7 @@ class EventReader:
             self._unchecked.append((row.number, name, definite, found, row.blocks or ()))
         return found
 
-    def _shaped(self, row: Row, column: int, *shape: int) -> Array:
+    def _shaped(self, row: StoredRow, column: int, *shape: int) -> Array:
         """A matrix, the same one each time that it is stored once."""
         own = row.cells[column]
         if own is None or own.matrix is None:
@@ -339,14 +341,14 @@ class EventReader:
             own.matrix = own.matrix.reshape(shape)
         return own.matrix
 
-    def _flat(self, row: Row, column: int) -> Array:
+    def _flat(self, row: StoredRow, column: int) -> Array:
         """The numbers (n,) of a matrix."""
         own = row.cells[column]
         if own is None or own.matrix is None:
             self._refuse_cell(row, column)
         return own.matrix.reshape(-1)
 
-    def _refuse_cell(self, row: Row, column: int) -> NoReturn:
+    def _refuse_cell(self, row: StoredRow, column: int) -> NoReturn:
         """Refuse an event without the numbers of a matrix."""
         fault = _NO_NUMBERS
         if row.cells[column] is None:

@@ -28,7 +28,7 @@ from comparisons.trace.recorder import Recorder
 _MEASUREMENT = "measurement"
 
 
-class Step(NamedTuple):
+class FilterStep(NamedTuple):
     """What a prediction used, or an update (H and R), and the sensor's name."""
 
     jacobian: Any
@@ -80,23 +80,23 @@ class _Linear:
     def __init__(self, filter: Any) -> None:  # noqa: A002
         self.filter = filter
 
-    def predicts(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def predicts(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Return what tells, after a prediction, which matrices it used. given: its arguments."""
         f = self.filter
 
-        def done() -> Step:
+        def done() -> FilterStep:
             memory = getattr(f, "alpha", 1.0)
             q = _square(_first(given.get("Q"), f.Q), len(f.P))
-            return Step(memory * np.asarray(_first(given.get("F"), f.F)), q)
+            return FilterStep(memory * np.asarray(_first(given.get("F"), f.F)), q)
 
         return done
 
-    def updates(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def updates(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Return what tells, after an update, which matrices it used. given: its arguments."""
         f, h, r = self.filter, _first(given.get("H"), self.filter.H), given.get("R")
 
-        def done() -> Step:
-            return Step(h, _square(_first(r, f.R), np.size(f.y)))
+        def done() -> FilterStep:
+            return FilterStep(h, _square(_first(r, f.R), np.size(f.y)))
 
         return done
 
@@ -112,13 +112,13 @@ class _Linear:
 class _Extended(_Linear):
     """filterpy's ExtendedKalmanFilter: H is a function of the state."""
 
-    def updates(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def updates(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Evaluate the Jacobian where the filter will."""
         more, jacobian = given.get("args", ()), given["HJacobian"]
         h = jacobian(self.filter.x, *(more if isinstance(more, tuple) else (more,)))
         r = _first(given.get("R"), self.filter.R)
         name = getattr(given["Hx"], "__name__", _MEASUREMENT)
-        return lambda: Step(h, _square(r, np.size(self.filter.y)), name)
+        return lambda: FilterStep(h, _square(r, np.size(self.filter.y)), name)
 
 
 class _Unscented(_Linear):
@@ -137,25 +137,25 @@ class _Unscented(_Linear):
 
         filter.compute_process_sigmas = keeping
 
-    def predicts(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def predicts(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Draw the points that the filter will draw."""
         f = self.filter
         x, p = np.array(f.x), np.array(f.P)
         points = f.points_fn.sigma_points(x, p)
 
-        def done() -> Step:
+        def done() -> FilterStep:
             assert self.moved is not None  # noqa: S101 - a prediction moves points
             apart = np.array([f.residual_x(one, x) for one in points])
             after = np.array([f.residual_x(one, f.x) for one in self.moved])
-            return Step(*_regression(p, (apart.T * f.Wc) @ after, f.P))
+            return FilterStep(*_regression(p, (apart.T * f.Wc) @ after, f.P))
 
         return done
 
-    def updates(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def updates(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Regress the measurement on the state that it is fused with."""
         f, p = self.filter, np.array(self.filter.P)
         name = getattr(given.get("hx"), "__name__", _MEASUREMENT)
-        return lambda: Step(*_regression(p, f.K @ f.S, f.S), name)
+        return lambda: FilterStep(*_regression(p, f.K @ f.S, f.S), name)
 
     def difference(self, after: Array, before: Array) -> Array:
         """Subtract as the filter does."""
@@ -165,15 +165,15 @@ class _Unscented(_Linear):
 class _Own(_Linear):
     """A class of one's own: F, Q, H, R and residual are methods, given what the calls are."""
 
-    def predicts(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def predicts(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Ask for the matrices before the prediction."""
-        step = Step(self.filter.F(**given), self.filter.Q(**given))
+        step = FilterStep(self.filter.F(**given), self.filter.Q(**given))
         return lambda: step
 
-    def updates(self, given: Mapping[str, Any]) -> Callable[[], Step]:
+    def updates(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Ask for the matrices and the residual before the update."""
         f = self.filter
-        step, self.last = Step(f.H(**given), f.R(**given)), f.residual(**given)
+        step, self.last = FilterStep(f.H(**given), f.R(**given)), f.residual(**given)
         return lambda: step
 
     def residual(self) -> Any:

@@ -64,7 +64,7 @@ class Released(NamedTuple):
     origin: Array
 
 
-class Points(NamedTuple):
+class DelayedPoints(NamedTuple):
     """Points (N,), oldest first (Nieto 2005, eq. 3.26).
 
     group: (N,) which frame. point: (N, 2) [m] in it. variance: (N, 2) [m^2], the diagonal of
@@ -100,7 +100,7 @@ class DelayedInitialisation:
     capacity: int = 5_000
     patience: int = 16
     counts: DelayedCounts = field(default_factory=DelayedCounts)
-    points: Points = field(default_factory=Points.none)
+    points: DelayedPoints = field(default_factory=DelayedPoints.none)
     axis: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
     mean: Array = field(default_factory=lambda: np.empty((0, 3)))
     covariance: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
@@ -181,9 +181,9 @@ class DelayedInitialisation:
         when = np.full(len(axis), scan, dtype=np.intp)
         seen_from = view.pose[:2] if origin is None else origin
         back = frame.to_local(np.broadcast_to(seen_from, local.shape)) - local
-        new = Points(group, local, variance, cross, when, number[known], back)
+        new = DelayedPoints(group, local, variance, cross, when, number[known], back)
         joined = zip(self.points, new, strict=True)
-        self.points = Points(*(np.concatenate(pair) for pair in joined))
+        self.points = DelayedPoints(*(np.concatenate(pair) for pair in joined))
         excess = len(self.points.scan) - self.capacity
         if excess > 0:
             self.counts.dropped += excess
@@ -257,7 +257,7 @@ class DelayedInitialisation:
     def _keep(self, chosen: Index) -> None:
         """Leave all other points out, and frames without points."""
         columns: Any = (column[chosen] for column in self.points)
-        self.points = Points(*columns)
+        self.points = DelayedPoints(*columns)
         used, group = np.unique(self.points.group, return_inverse=True)
         if len(used) < len(self.axis):
             self.points = self.points._replace(group=group)

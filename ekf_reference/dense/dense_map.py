@@ -15,12 +15,12 @@ from ekf_reference.dense.layers.layer import Hits, LateScan, Layer
 from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import Scan, ScanSensor
 from ekf_reference.dense.view import FilterView
 
 
 @dataclass
-class Tally:
+class ReturnTally:
     """What became of all returns; those not counted here wait, or are counted there.
 
     Attributes:
@@ -66,13 +66,13 @@ class DenseMap:
     known_m: float = math.inf
     delayed: bool = True
     virtual: bool = True
-    tally: Tally = field(default_factory=Tally)
+    tally: ReturnTally = field(default_factory=ReturnTally)
     neglected: NeglectedCorrelation = field(init=False)
     landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
     _sought_among: int = 0
     _sought_until: int = 0
     _potential: Potential | None = None
-    _sensor: Sensor | None = None
+    _sensor: ScanSensor | None = None
     _regions_at: list[int] = field(default_factory=list)
     _spoken: set[tuple[int, int]] = field(default_factory=set)
 

@@ -11,7 +11,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index, Mask
 
 
-class Rows(NamedTuple):
+class RegionRows(NamedTuple):
     """The rows of some regions, one region after the other; copies.
 
     region: (n,) of each. value: (n, w).
@@ -45,21 +45,21 @@ class RegionStore:
             table[count : count + len(rows)] = value[rows]
             self._count[number] = count + len(rows)
 
-    def gather(self, regions: Index | None = None) -> Rows:
+    def gather(self, regions: Index | None = None) -> RegionRows:
         """The rows of distinct regions (r,), in their order; of all, ascending, by default."""
         asked = sorted(self._count) if regions is None else regions.tolist()
         kept = [number for number in asked if number in self._count]
         counts = [self._count[number] for number in kept]
         parts = [self._table[n][:c] for n, c in zip(kept, counts, strict=True)]
         value = np.concatenate(parts) if parts else np.empty((0, self.width))
-        return Rows(np.repeat(np.array(kept, dtype=np.intp), counts), value)
+        return RegionRows(np.repeat(np.array(kept, dtype=np.intp), counts), value)
 
-    def put(self, rows: Rows) -> None:
+    def put(self, rows: RegionRows) -> None:
         """Write back rows as `gather` gave them, with other values."""
         for number, first, last in _runs(rows.region):
             self._table[number][: last - first] = rows.value[first:last]
 
-    def keep(self, rows: Rows, kept: Mask) -> None:
+    def keep(self, rows: RegionRows, kept: Mask) -> None:
         """Drop those of the rows that `gather` gave, and `put` wrote, that are not kept (n,)."""
         if kept.all():
             return

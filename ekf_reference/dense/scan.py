@@ -29,7 +29,7 @@ _NOISY = 3.0
 
 
 @dataclass(frozen=True)
-class Sensor:
+class ScanSensor:
     """A range and bearing sensor. sigma_range_m, sigma_bearing_rad: of every return.
 
     beam_rad: angle between two beams; nothing was measured in a direction that is farther than half
@@ -95,10 +95,10 @@ class Scan:
     pose: Array
     bearing_rad: Array
     range_m: Array
-    sensor: Sensor
+    sensor: ScanSensor
 
     @classmethod
-    def of_ranges(cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor) -> Self:
+    def of_ranges(cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: ScanSensor) -> Self:
         """From beams in any order (B,). What is not finite or not above zero is no return.
 
         A beam without a return says nothing: it may have met no surface, or one that absorbs.

@@ -155,7 +155,7 @@ class KnownIdentities:
 
 
 @dataclass(frozen=True)
-class View:
+class ExpectedDetection:
     """Where a landmark that exists should be detected: range [m], bearing either way [rad]."""
 
     range_m: float
@@ -178,7 +178,7 @@ class PerParticleLikelihood:
     measurement are sought.
     """
 
-    view: View
+    view: ExpectedDetection
     choice: Choice = "likeliest"
     gate: float = 13.82
     new_gate: float = 25.0

@@ -33,7 +33,7 @@ def inverse_2x2(matrix: Array) -> tuple[Array, Array]:
     return inverse, determinant
 
 
-class Expected(NamedTuple):
+class ParticlePredictions(NamedTuple):
     """What particles expect to measure of K landmarks each.
 
     z: (N, K, 2). by_pose: (N, K, 2, 3), by the pose's error in its own frame. by_landmark:
@@ -179,7 +179,9 @@ class ParticleMaps:
         """
         return self.evidence[self._row, columns] > 0.0
 
-    def expected(self, pose: Array, columns: Index, sensor: MeasurementModel) -> Expected:
+    def expected(
+        self, pose: Array, columns: Index, sensor: MeasurementModel
+    ) -> ParticlePredictions:
         """Return what particles expect to measure of some landmarks.
 
         Args:
@@ -200,7 +202,7 @@ class ParticleMaps:
         shape = local.shape[:2]
         by_landmark = by_local.reshape(*shape, 2, 2) @ _to_frame(pose)[:, None]
         covariance = self.covariance[self._row, columns]
-        return Expected(
+        return ParticlePredictions(
             z.reshape(*shape, 2),
             by_pose.reshape(*shape, 2, 3),
             by_landmark,
@@ -209,7 +211,7 @@ class ParticleMaps:
         )
 
     def update(
-        self, columns: Index, used: Mask, at: Expected, innovation: Array, noise: Array
+        self, columns: Index, used: Mask, at: ParticlePredictions, innovation: Array, noise: Array
     ) -> None:
         """Fuse measurements with the landmarks, the pose being known (Nieto 2005, eq. 2.20).
 

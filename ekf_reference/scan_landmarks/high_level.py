@@ -45,7 +45,7 @@ class SearchOptions:
     thin_m: float = 0.3
 
 
-class Found(NamedTuple):
+class PlacedTemplate(NamedTuple):
     """A landmark's template and where it is now.
 
     place: (3,) of its axis in the world: centroid of the template and the vehicle's heading.
@@ -73,7 +73,7 @@ class Search:
     corner: Array
     candidate: Array
     gaussians: Index
-    found: tuple[Found, ...]
+    found: tuple[PlacedTemplate, ...]
     known: int
 
     @property
@@ -104,7 +104,7 @@ def search(around: Around, known: Array, options: SearchOptions | None = None) -
     o = options or SearchOptions()
     corner = _corners(around, o)
     taken = list(known[np.isfinite(known).all(axis=(1, 2))])
-    shown, count, found, old = [], list[int](), list[Found](), 0
+    shown, count, found, old = [], list[int](), list[PlacedTemplate](), 0
     for pair in corner[pairs(corner, o.pair_m)]:
         area = rectangle(pair, o.margin_m)
         if any(overlapping(area, other) for other in taken):
@@ -191,7 +191,7 @@ def _standing(around: Around, area: Array, o: SearchOptions) -> Ellipses:
 
 def _landmark(
     around: Around, pair: Array, area: Array, standing: Ellipses, o: SearchOptions
-) -> Found:
+) -> PlacedTemplate:
     """The landmark of a rectangle (4, 2) and what stands in it."""
     shape = SumOfGaussians.of_equal_height(standing.mean, standing.covariance)
     if o.thin_m > 0.0:
@@ -200,7 +200,9 @@ def _landmark(
     template = Template.of_segment(shape.transformed(back), np.arange(len(shape)))
     place = RelativePose().invert(around.pose, template.pose[None]).landmark[0]
     region, count = int(np.bincount(standing.region).argmax()), len(standing.mean)
-    return Found(template, place, to_frame(place, area), to_frame(place, pair), region, count)
+    return PlacedTemplate(
+        template, place, to_frame(place, area), to_frame(place, pair), region, count
+    )
 
 
 def _clear(point: Array, landmark: Array, least_m: float) -> Mask:

@@ -21,15 +21,15 @@ from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.high_level import Found
+from ekf_reference.scan_landmarks.high_level import PlacedTemplate
 from ekf_reference.scan_landmarks.scan_slam import GATE, MOVES, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
     APART,
     BLANK,
     ObservationOptions,
+    SensorView,
     Template,
     TemplateMatching,
-    View,
     observe,
 )
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
@@ -60,7 +60,7 @@ class HighLevelLandmark:
     landmark_index: int = NEW
 
 
-class PoseMeasurement(NamedTuple):
+class LandmarkPoseMeasurement(NamedTuple):
     """number: of the landmark. z: (3,) its pose in the vehicle's frame. covariance: (3, 3)."""
 
     number: int
@@ -78,10 +78,10 @@ class Glimpse:
 
     shape: SumOfGaussians
     mount: Array
-    view: View
+    view: SensorView
 
 
-class Expected(NamedTuple):
+class ExpectedPose(NamedTuple):
     """A landmark's pose in some frame: z (3,), and covariance (3, 3) of what is known of it."""
 
     z: Array
@@ -110,7 +110,7 @@ class HighLevelLandmarks:
     guard: DynamicGuard | None = None
     moving: set[int] = field(default_factory=set)
 
-    def take(self, found: Found, base: Index, point: Array) -> None:
+    def take(self, found: PlacedTemplate, base: Index, point: Array) -> None:
         """Keep a landmark by its region's longest side between landmarks of the filter.
 
         base: (3,) as of LocalRegions. point: (L, 2) [m] the filter's.
@@ -144,7 +144,7 @@ class HighLevelLandmarks:
         there = zip(self.landmark, self.places(ekf), strict=True)
         return np.reshape([to_world(at, one.rectangle) for one, at in there], (-1, 4, 2))
 
-    def look(self, ekf: Ekf, scan: Glimpse) -> list[PoseMeasurement]:
+    def look(self, ekf: Ekf, scan: Glimpse) -> list[LandmarkPoseMeasurement]:
         """Measurements of what should be in view, those within the gate."""
         view = FilterView.of(ekf)
         places = self.places(ekf)
@@ -162,7 +162,7 @@ class HighLevelLandmarks:
             made, reason = self._measure(one, scan, expected)
             self.counts[reason] += 1
             if made is not None:
-                measurements.append(PoseMeasurement(number, *made))
+                measurements.append(LandmarkPoseMeasurement(number, *made))
         return measurements
 
     def _moves(self, number: int, place: Array) -> bool:
@@ -173,30 +173,32 @@ class HighLevelLandmarks:
             self.moving.add(number)
         return number in self.moving
 
-    def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
+    def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> ExpectedPose | None:
         """Its pose in the vehicle's frame; None where the covariance of its anchor is old."""
         if one.landmark_index == NEW:
             return self._passive(view, one)
         z, covariance = predicted_frames(ekf, np.array([one.landmark_index]))
-        return Expected(z[0], covariance[0])
+        return ExpectedPose(z[0], covariance[0])
 
-    def initialised(self, measurements: list[PoseMeasurement], landmark_index: Index) -> None:
+    def initialised(
+        self, measurements: list[LandmarkPoseMeasurement], landmark_index: Index
+    ) -> None:
         """The filter has fused measurements and says which of its landmarks (m,) they are."""
         for one, own in zip(measurements, landmark_index.tolist(), strict=True):
             self.landmark[one.number] = replace(self.landmark[one.number], landmark_index=own)
 
-    def _passive(self, view: FilterView, one: HighLevelLandmark) -> Expected | None:
+    def _passive(self, view: FilterView, one: HighLevelLandmark) -> ExpectedPose | None:
         if not np.isin(one.base, view.landmark_index).all():
             return None
         vehicle, covariance = (part[0] for part in read_local_poses(view, one.base[None]))
         at = _OBSERVATION.predict(vehicle, one.held[None])
         by_vehicle, by_own = at.jacobian_pose[0], at.jacobian_landmark[0]
         spread = by_own @ np.diag(np.square(self.settled)) @ by_own.T
-        return Expected(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
+        return ExpectedPose(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
 
     def _measure(
-        self, one: HighLevelLandmark, scan: Glimpse, expected: Expected
-    ) -> tuple[Expected | None, str]:
+        self, one: HighLevelLandmark, scan: Glimpse, expected: ExpectedPose
+    ) -> tuple[ExpectedPose | None, str]:
         there = _OBSERVATION.predict(scan.mount, expected.z[None])
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
@@ -215,10 +217,10 @@ class HighLevelLandmarks:
         distance = innovation @ np.linalg.solve(expected.covariance + noise, innovation)
         if distance > GATE:
             return None, "outside the gate"
-        return Expected(back.landmark[0], noise), "seen"
+        return ExpectedPose(back.landmark[0], noise), "seen"
 
 
-def _belief(found: Found) -> CovarianceOptions:
+def _belief(found: PlacedTemplate) -> CovarianceOptions:
     """Chance makes ripples of so many Gaussians as there were, not as they have become."""
     usual = CovarianceOptions()
     merged = found.gaussians / len(found.template.shape)

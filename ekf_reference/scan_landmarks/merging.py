@@ -52,7 +52,7 @@ class FusingOptions:
     again_after: int = 50
 
 
-class Pair(NamedTuple):
+class LandmarkPair(NamedTuple):
     """Two landmarks, and z (3,) of the second in the first's frame with covariance (3, 3)."""
 
     first: int
@@ -84,7 +84,7 @@ class DuplicateMerging:
             self._unite(pair.first, pair.second, known)
             gone |= {pair.first, pair.second}  # what other pairs say of these is past
 
-    def _close(self, ekf: Ekf, reach_m: float) -> list[Pair]:
+    def _close(self, ekf: Ekf, reach_m: float) -> list[LandmarkPair]:
         """Pairs that are near each other for certain; the larger template is the first of each."""
         o, size = self.options, {s: len(t.shape) for s, t in self.found.template.items()}
         near = ekf.state.within(reach_m, POSE)
@@ -105,7 +105,7 @@ class DuplicateMerging:
                 pairs.append(pair)
         return sorted(pairs, key=lambda pair: float(np.hypot(*pair.z[:2])))
 
-    def _fit(self, pair: Pair) -> tuple[Array, Array] | None:
+    def _fit(self, pair: LandmarkPair) -> tuple[Array, Array] | None:
         """Align the second's template with the first's: z and R; None if it does not fit."""
         o, template = self._slam.options, self.found.template
         wide = pair.covariance + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
@@ -138,11 +138,11 @@ class DuplicateMerging:
         self.merged += 1
 
 
-def relative(ekf: Ekf, first: int, second: int) -> Pair:
+def relative(ekf: Ekf, first: int, second: int) -> LandmarkPair:
     """Return the relative pose of two landmarks and its covariance (Nieto 2005, eq. 5.15)."""
     local = ekf.state.map_of(np.array((first, second), dtype=np.intp), POSE)
     z, h = _second_in_first(local)
-    return Pair(first, second, z, h @ _joint(local) @ h.T)
+    return LandmarkPair(first, second, z, h @ _joint(local) @ h.T)
 
 
 def _second_in_first(local: LocalMap) -> tuple[Array, Array]:

@@ -21,20 +21,20 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation, wrap_angle
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.measurements import DynamicGuard
-from ekf_reference.dense.scan import Sensor
+from ekf_reference.dense.scan import ScanSensor
 from ekf_reference.scan_landmarks.segmentation import quality
 from ekf_reference.scan_landmarks.template_extraction import (
     JoinedSegments,
-    Known,
+    LandmarkInView,
     TemplateExtraction,
 )
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
     ObservationOptions,
+    SensorView,
     Template,
     TemplateMatching,
-    View,
     observe,
     share_in_view,
 )
@@ -153,7 +153,11 @@ class ScanSlam:
     """Measures templates in scans and initialises new ones; the filter is the caller's."""
 
     def __init__(
-        self, sensor: Sensor, view: View, mount: Array, options: ScanSlamOptions | None = None
+        self,
+        sensor: ScanSensor,
+        view: SensorView,
+        mount: Array,
+        options: ScanSlamOptions | None = None,
     ) -> None:
         """mount: (3,) of the scanner in the vehicle's frame."""
         self.sensor = sensor
@@ -276,10 +280,10 @@ class ScanSlam:
         """Initialise landmarks of those candidate templates that align with themselves."""
         o = self.options
 
-        def known() -> list[Known]:
+        def known() -> list[LandmarkInView]:
             near = zip(*self._predict(ekf), strict=True)
             return [
-                Known(self.found.template[int(landmark_index)], z, spread)
+                LandmarkInView(self.found.template[int(landmark_index)], z, spread)
                 for landmark_index, z, spread in near
                 if self._share(int(landmark_index), z, scan) >= self.view.share
             ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.scan import Sensor
+from ekf_reference.dense.scan import ScanSensor
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions, scan_align
 from ekf_reference.scan_matching.problem import AlignmentOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -81,7 +81,7 @@ def segments(scan: SumOfGaussians, options: SegmentationOptions | None = None) -
 
 def quality(
     segment: SumOfGaussians,
-    sensor: Sensor,
+    sensor: ScanSensor,
     rng: np.random.Generator,
     options: SegmentationOptions | None = None,
     alignment: AlignmentOptions | None = None,
@@ -131,13 +131,13 @@ def quality(
     )
 
 
-def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:
+def _twice_as_long(segment: SumOfGaussians, sensor: ScanSensor) -> Array:
     """(N, 2, 2) covariances for pieces of surface twice as long, noise as it was."""
     noise = sensor.covariance(segment.mean, np.hypot(*segment.mean.T))
     return noise + 4.0 * (segment.covariance - noise)
 
 
-def _seen_again(segment: SumOfGaussians, sensor: Sensor, rng: np.random.Generator) -> Array:
+def _seen_again(segment: SumOfGaussians, sensor: ScanSensor, rng: np.random.Generator) -> Array:
     """(N, 2) the returns with noise added to ranges and bearings."""
     count = len(segment)
     way = np.hypot(*segment.mean.T) + sensor.sigma_range_m * rng.standard_normal(count)

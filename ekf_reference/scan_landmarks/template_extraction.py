@@ -19,11 +19,11 @@ from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
-from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
+from ekf_reference.scan_landmarks.templates import SensorView, Template, share_in_view
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 
-class Known(NamedTuple):
+class LandmarkInView(NamedTuple):
     """A landmark in view. z: (3,) where it should be seen, covariance: (3, 3) of that."""
 
     template: Template
@@ -64,7 +64,11 @@ class TemplateExtraction(ABC):
 
     @abstractmethod
     def found(
-        self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
+        self,
+        scan: SumOfGaussians,
+        view: SensorView,
+        ahead: Array,
+        known: Callable[[], list[LandmarkInView]],
     ) -> Iterator[Index]:
         """Rows of the scan's returns, by template. ahead: (2,) where the vehicle goes, length one.
 
@@ -117,7 +121,11 @@ class JoinedSegments(TemplateExtraction):
         return not used or (used < self.enough and scans >= initialised + self.every)
 
     def found(
-        self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
+        self,
+        scan: SumOfGaussians,
+        view: SensorView,
+        ahead: Array,
+        known: Callable[[], list[LandmarkInView]],
     ) -> Iterator[Index]:
         """One, or none."""
         parts = segments(scan, self.segmentation)
@@ -167,7 +175,11 @@ class SingleSegments(TemplateExtraction):
         return self.every == 1 or scans % self.every == 1
 
     def found(
-        self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
+        self,
+        scan: SumOfGaussians,
+        view: SensorView,
+        ahead: Array,
+        known: Callable[[], list[LandmarkInView]],
     ) -> Iterator[Index]:
         """See TemplateExtraction."""
         in_view, tried = known(), 0
@@ -181,7 +193,7 @@ class SingleSegments(TemplateExtraction):
             yield rows
 
     def _passing(
-        self, segment: SumOfGaussians, scan: SumOfGaussians, view: View, ahead: Array
+        self, segment: SumOfGaussians, scan: SumOfGaussians, view: SensorView, ahead: Array
     ) -> bool:
         """Whether a segment is about to leave the view."""
         if len(segment) < 3:
@@ -191,7 +203,7 @@ class SingleSegments(TemplateExtraction):
         nothing = scan.take(np.zeros(0, dtype=np.intp))
         return share_in_view(Template(shape, then), nothing, then, view) < view.share
 
-    def _explained(self, segment: SumOfGaussians, known: list[Known]) -> bool:
+    def _explained(self, segment: SumOfGaussians, known: list[LandmarkInView]) -> bool:
         """Whether a segment is too near to a landmark's axis, or mostly its template's."""
         for template, z, covariance in known:
             shape = template.shape

@@ -73,7 +73,7 @@ class Template:
 
 
 @dataclass(frozen=True)
-class View:
+class SensorView:
     """What a sensor sees: ranges up to reach_m, bearings from first_rad to last_rad.
 
     share: least part of a template's points that must be in view (section 5.7). shadow_m: a
@@ -123,7 +123,7 @@ class TemplateMatching:
     the alignment, and of its covariance.
     """
 
-    view: View
+    view: SensorView
     options: ObservationOptions = field(default_factory=ObservationOptions)
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
     belief: CovarianceOptions = field(default_factory=CovarianceOptions)
@@ -147,7 +147,7 @@ class Observation:
         return not self.reason
 
 
-def share_in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> float:
+def share_in_view(template: Template, scan: SumOfGaussians, pose: Array, view: SensorView) -> float:
     """Return the share of a template's points that the scanner should see.
 
     pose: (3,) of the template's axis in the scanner's frame. Points outside the field of view, or
@@ -186,7 +186,7 @@ def observe(
     return Observation(found, "" if evidence.converged else UNFINISHED)
 
 
-def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Mask:
+def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: SensorView) -> Mask:
     """(N,) which of a template's points the sensor should see; see share_in_view."""
     point = template.shape.transformed(pose).mean
     seen = view.sees(point)

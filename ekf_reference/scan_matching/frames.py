@@ -9,7 +9,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, rotation
 
 
-class Moved(NamedTuple):
+class PointsInFrame(NamedTuple):
     """Points in the first frame. point: (k, 2) [m].
 
     by_point: (2, 2), the same of all. by_first, by_second: (k, 2, 3) by the frames' poses.
@@ -21,7 +21,7 @@ class Moved(NamedTuple):
     by_second: Array
 
 
-def moved(first: Array, second: Array, point: Array) -> Moved:
+def moved(first: Array, second: Array, point: Array) -> PointsInFrame:
     """Points (k, 2) of the second frame (3,) in the first (3,), and the Jacobians.
 
     Source: Nieto 2005, eqs. 5.6, 5.7 and 5.9 to 5.11. Erratum: 5.8 prints T = x_L2 - x_L1; turned
@@ -35,7 +35,7 @@ def moved(first: Array, second: Array, point: Array) -> Moved:
     by_first[:, :, :2], by_second[:, :, :2] = -into, into
     by_first[:, 0, 2], by_first[:, 1, 2] = result[:, 1], -result[:, 0]
     by_second[:, 0, 2], by_second[:, 1, 2] = -turned[:, 1], turned[:, 0]
-    return Moved(result, r, by_first, by_second)
+    return PointsInFrame(result, r, by_first, by_second)
 
 
 def moved_gaussians(

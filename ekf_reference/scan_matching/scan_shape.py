@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.dense.scan import NEXT, Scan, Sensor
+from ekf_reference.dense.scan import NEXT, Scan, ScanSensor
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _MEET = 0.5
@@ -25,7 +25,7 @@ _TIE_M = 1e-6
 is at a bound; to so much they count as equal, and as not beyond it."""
 
 
-def of_scan(bearing_rad: Array, range_m: Array, sensor: Sensor) -> SumOfGaussians:
+def of_scan(bearing_rad: Array, range_m: Array, sensor: ScanSensor) -> SumOfGaussians:
     """The returns of a scan in the scanner's frame; beams (B,), those without return left out.
 
     Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. Each Gaussian is longer by the surface
@@ -65,7 +65,7 @@ def _boundaries(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mas
 
 
 def _one_sided(
-    bearing_rad: Array, range_m: Array, point: Array, one: Mask, rim_rad: float, sensor: Sensor
+    bearing_rad: Array, range_m: Array, point: Array, one: Mask, rim_rad: float, sensor: ScanSensor
 ) -> Mask:
     """The same where surfaces end towards greater bearings."""
     count = len(range_m)

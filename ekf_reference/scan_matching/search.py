@@ -94,13 +94,13 @@ def _scores(first: SumOfGaussians, second: SumOfGaussians, pose: Array, blur_m: 
     if (high <= low).any():
         return np.zeros(len(pose))
     cell = max(_CELL * blur_m, math.sqrt(float(np.prod(high - low)) / _CELLS))
-    drawn = Picture.of(second.mean, second.weight, low, high, cell)
+    drawn = RasterImage.of(second.mean, second.weight, low, high, cell)
     blurred = gaussian_filter(drawn.value, blur_m / cell, mode="constant", truncate=2.5)
     return replace(drawn, value=blurred).scores(first.mean, first.weight, pose)
 
 
 @dataclass(frozen=True)
-class Picture:
+class RasterImage:
     """value: (I, J) of square cells, the first with its corner at low (2,) [m]; 0 around them."""
 
     value: Array

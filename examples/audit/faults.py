@@ -16,7 +16,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.trace.events import Event, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def where(path: Path, fault: Fault | None) -> Planted | None:
     """Return which event of a trace a fault is in."""
     if fault is None:
         return None
-    found = [event for event in Trace(path) if _place(event) == fault.place]
+    found = [event for event in TraceReader(path) if _place(event) == fault.place]
     event = found[fault.nth]
     sensor = event.sensor if isinstance(event, Update) else None
     return Planted(event.number, sensor, fault.blocks, fault.what)

@@ -18,11 +18,11 @@ from graphslam.arrays import Array, Index
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.matchers import COARSE_M, MatchOptions, SurfaceMatcher
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.points import placed
 from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import Matcher, Registration, ScanError, squared_distance
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, smooth
 
 Clouds = Mapping[int, Array]
 """Points (M, 3) seen from some of the poses, by the pose's number."""
@@ -39,7 +39,7 @@ class LoopCloser(Protocol):
 
 
 @dataclass(frozen=True)
-class Attempt:
+class ClosureAttempt:
     """A pair of poses that was tried: what came of it, `accepted` or the reason against."""
 
     first: int
@@ -52,7 +52,7 @@ class Closed:
     """What was found, and all that was tried."""
 
     loop_closures: LoopClosures = field(default_factory=LoopClosures)
-    attempts: tuple[Attempt, ...] = ()
+    attempts: tuple[ClosureAttempt, ...] = ()
 
 
 class NoLoopClosure:
@@ -109,7 +109,7 @@ class RegistrationLoopCloser:
         o = self.options
         keyframes = choose_keyframes(problem, clouds, o.keyframe_m, o.keyframe_rad)
         found: dict[tuple[int, int], Registration] = {}
-        attempts: dict[tuple[int, int], Attempt] = {}
+        attempts: dict[tuple[int, int], ClosureAttempt] = {}
         tried: dict[tuple[int, int], Array] = {}
         for _ in range(self.options.rounds):
             before = len(found)
@@ -125,10 +125,10 @@ class RegistrationLoopCloser:
                     tried[pair] = expected
                     outcome = self._try(running_estimate, clouds, earlier, later, expected, spread)
                     if isinstance(outcome, str):
-                        attempts[pair] = Attempt(*pair, outcome)
+                        attempts[pair] = ClosureAttempt(*pair, outcome)
                     else:
                         found[pair] = outcome
-                        attempts[pair] = Attempt(*pair, "accepted")
+                        attempts[pair] = ClosureAttempt(*pair, "accepted")
             if len(found) == before:
                 break
         return Closed(self._loop_closures(found), tuple(attempts.values()))
@@ -248,7 +248,7 @@ def starts(expected: Array, spread: Array, reach_m: float) -> list[Array]:
 
 
 def loop_closer(
-    settings: OdometryOptions,
+    settings: KissIcpOptions,
     matcher: Matcher | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RegistrationLoopCloser:
@@ -281,7 +281,7 @@ def choose_keyframes(
 class KeyframeEstimate:
     """Poses of keyframes with their joint covariance, of the additive global error."""
 
-    def __init__(self, result: SmootherResult, keyframes: Index) -> None:
+    def __init__(self, result: SmootherEvidence, keyframes: Index) -> None:
         """keyframes: (F,) numbers of poses."""
         self.keyframes = keyframes
         self.pose = result.poses[keyframes]

@@ -14,7 +14,7 @@ import numpy as np
 
 from graphslam.arrays import Array
 from graphslam.scan import kiss, planar
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.points import LEAST_POINTS, usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Matcher, Registration, ScanError
@@ -48,7 +48,7 @@ class MatchOptions:
     least_points: int = LEAST_POINTS
 
     @classmethod
-    def suited(cls, settings: OdometryOptions, judge: RefinementOptions) -> Self:
+    def suited(cls, settings: KissIcpOptions, judge: RefinementOptions) -> Self:
         """For scans that suit these settings of scan odometry, from a metre off."""
         reach_m = settings.refinement.reach_m
         return cls(

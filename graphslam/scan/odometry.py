@@ -35,7 +35,7 @@ _RENEWAL = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometryOptions:
+class KissIcpOptions:
     """Settings of KISS-ICP and of what is believed of it.
 
     voxel_m, points_per_voxel: KISS-ICP's local map. threshold_m, blind_threshold_m: the scale of
@@ -80,7 +80,7 @@ class OdometryOptions:
     cloud_calibration: float = 3.6
 
     @classmethod
-    def for_noise(cls, sigma_m: float) -> OdometryOptions:
+    def for_noise(cls, sigma_m: float) -> KissIcpOptions:
         """For planar scans with so much noise in place of the defaults' few centimetres.
 
         A piece of wall must be much longer than its noise makes it thick, and the map need not be
@@ -124,9 +124,9 @@ class Increment:
 class ScanOdometry:
     """Feeds scans to KISS-ICP one by one. The same scans give the same bits in every process."""
 
-    def __init__(self, options: OdometryOptions | None = None) -> None:
+    def __init__(self, options: KissIcpOptions | None = None) -> None:
         """An empty map with the vehicle at the origin."""
-        self.options = options or OdometryOptions()
+        self.options = options or KissIcpOptions()
         self._kiss = kiss.registration(500, 1e-4)
         self.pose, self._motion = np.zeros(3), np.zeros(3)
         self._begin()

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphslam.arrays import Array
 from graphslam.scan.matchers import JudgedMatcher, MatchOptions
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import ScanError
 
@@ -41,7 +41,7 @@ class TemplateMatchers:
     fixing: float = 0.15
 
     def __init__(
-        self, settings: OdometryOptions, kind: Callable[[MatchOptions], JudgedMatcher]
+        self, settings: KissIcpOptions, kind: Callable[[MatchOptions], JudgedMatcher]
     ) -> None:
         """settings: of scan odometry for these scans. kind: makes the matcher."""
         self._settings, self._kind = settings, kind

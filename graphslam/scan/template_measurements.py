@@ -30,7 +30,7 @@ from graphslam.running_estimate import RunningEstimate
 from graphslam.scan import planar
 from graphslam.scan.loop_closure import starts
 from graphslam.scan.matchers import COARSE_M
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.registration import Registration, ScanError, squared_distance
 from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
 
@@ -68,7 +68,7 @@ class TemplateOptions:
     shared_m: float = 0.05
 
     @classmethod
-    def suited(cls, settings: OdometryOptions, sigma_m: float) -> Self:
+    def suited(cls, settings: KissIcpOptions, sigma_m: float) -> Self:
         """For scans that suit these settings of scan odometry, each return sigma_m off."""
         residual_m = max(0.15, 0.4 * settings.refinement.reach_m)
         return cls(most_residual_m=residual_m, shared_m=sigma_m)

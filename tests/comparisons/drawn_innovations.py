@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
 from comparisons.innovations import InnovationLog, SensorInnovations
-from comparisons.trace.events import Sensor
+from comparisons.trace.events import SensorDescription
 
 
 def drawn_sensor(
-    sensor: Sensor,
+    sensor: SensorDescription,
     whitened: Array,
     time_s: Array | None = None,
     landmark: Index | None = None,

@@ -1,4 +1,4 @@
-"""Logs of a newcomer, and sound filters of other kinds than `benchmarks/strangers.py` has."""
+"""Logs of a newcomer, and sound filters of other kinds than `research/trust/strangers.py` has."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from benchmarks.strangers import Array, Ekf, measured, wrapped
+from research.trust.strangers import Array, TextbookEkf, measured, wrapped
 
 NANOSECOND = 1e-9
 
@@ -106,7 +106,7 @@ def stamp(time_ns: int) -> str:
     return f"{time_ns // 1_000_000_000}.{time_ns % 1_000_000_000:09d}"
 
 
-class ByRow(Ekf):
+class ByRow(TextbookEkf):
     """Each measurement of a scan is linearised at the state after the one before."""
 
     def fuse(self, ks: Array) -> None:
@@ -115,7 +115,7 @@ class ByRow(Ekf):
             super().fuse(np.array([k]))
 
 
-class Unscented(Ekf):
+class Unscented(TextbookEkf):
     """Sigma points of what a step or a scan depends on, in place of Jacobians."""
 
     kind = "other"
@@ -212,7 +212,7 @@ class Cubature(UnscentedHalf):
         return symmetric
 
 
-class Arc(Ekf):
+class Arc(TextbookEkf):
     """An exact arc, with its derivatives."""
 
     def motion(self, pose: Array, u: Array, dt: float) -> tuple[Array, Array, Array]:
@@ -230,7 +230,7 @@ class Arc(Ekf):
         return arrived, f, b
 
 
-class Euler(Ekf):
+class Euler(TextbookEkf):
     """Steps of at most 10 ms along the heading at their start."""
 
     def motion(self, pose: Array, u: Array, dt: float) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.smoother_association import Alternative
+from comparisons.adapters.smoother_association import AlternativeAssociation
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.association_variants import APART, AssociationCheck, check_association
@@ -41,19 +41,19 @@ def at(metres: float) -> Array:
     return POSES + (0.0, metres, 0.0)
 
 
-def checked(*others: Alternative) -> AssociationCheck:
+def checked(*others: AlternativeAssociation) -> AssociationCheck:
     return check_association(LANDMARK_INDEX, TIME, (POSES, COVARIANCE, 30.0, 30), others)
 
 
 def test_another_partition_with_the_same_optimum_does_not_matter() -> None:
-    found = checked(Alternative("a", split(), at(0.001), 30.0))
+    found = checked(AlternativeAssociation("a", split(), at(0.001), 30.0))
     assert found.verified
     assert found.variants[0].disputed == 5
     assert not found.disputes
 
 
 def test_another_optimum_that_explains_as_much_is_a_dispute() -> None:
-    found = checked(Alternative("a", split(), at(0.5), 10.0))
+    found = checked(AlternativeAssociation("a", split(), at(0.5), 10.0))
     assert not found.verified
     assert found.variants[0].apart_sigma == pytest.approx(0.5 / 0.1 / math.sqrt(3.0))
     assert found.variants[0].apart_m == pytest.approx(0.5)
@@ -66,30 +66,30 @@ def test_another_optimum_that_explains_as_much_is_a_dispute() -> None:
 
 
 def test_what_explains_less_speaks_only_with_others() -> None:
-    worse = [Alternative(name, split(), at(0.5), 300.0) for name in "abc"]
+    worse = [AlternativeAssociation(name, split(), at(0.5), 300.0) for name in "abc"]
     assert checked(*worse[:2]).verified
     assert not checked(*worse).verified
-    nothing = [Alternative(name, split(), at(0.0), math.inf) for name in "abc"]
+    nothing = [AlternativeAssociation(name, split(), at(0.0), math.inf) for name in "abc"]
     assert checked(nothing[0]).verified
     assert not checked(*nothing).verified
 
 
 def test_a_shift_below_the_limit_is_none() -> None:
     limit = APART * 0.1 * math.sqrt(3.0)
-    assert checked(Alternative("a", split(), at(0.99 * limit), 0.0)).verified
-    assert not checked(Alternative("a", split(), at(1.01 * limit), 0.0)).verified
+    assert checked(AlternativeAssociation("a", split(), at(0.99 * limit), 0.0)).verified
+    assert not checked(AlternativeAssociation("a", split(), at(1.01 * limit), 0.0)).verified
 
 
 def test_measurements_left_out_cost_something() -> None:
     """Broken variants of a comparison by chi-square alone would prefer to use nothing."""
     nobody = np.full(30, -1)
-    found = checked(Alternative("a", nobody, at(0.5), 0.0))
+    found = checked(AlternativeAssociation("a", nobody, at(0.5), 0.0))
     assert found.variants[0].excess > 0.0
     assert found.verified
 
 
 def test_a_check_stands_in_the_result() -> None:
-    found = checked(Alternative("a", split(), at(0.5), math.inf))
+    found = checked(AlternativeAssociation("a", split(), at(0.5), math.inf))
     kept = TypeAdapter(AssociationCheck).dump_python(found)
     assert kept["variants"][0]["apart_sigma"] is None
     assert kept["variants"][0]["elsewhere"]

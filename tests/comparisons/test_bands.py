@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from benchmarks.coverage import Coverage, Figure, coverage, figures_of, wrong
-from benchmarks.drives import sound_log, sound_run
 from comparisons import innovations, statistics
 from comparisons.checks.consistency import consistency
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
@@ -22,6 +20,8 @@ from comparisons.jobs.run import Comparison
 from comparisons.logs.odometry import RelativePoses
 from comparisons.statistics import Band, Whiteness, mean_band, whiteness
 from graphslam.optimum import chi_square_test
+from research.trust.coverage import BandCoverage, RunFigure, coverage, figures_of, wrong
+from research.trust.drives import sound_log, sound_run
 from tests.helpers import Array, altered
 
 RUNS = 80
@@ -39,7 +39,7 @@ def with_consistency(c: Comparison, found: Consistency) -> Comparison:
     return altered(c, "known.findings", findings)
 
 
-def judged_anew() -> list[Coverage]:
+def judged_anew() -> list[BandCoverage]:
     """The table, with all bands computed by what stands in the modules now."""
     return coverage(
         [
@@ -51,17 +51,17 @@ def judged_anew() -> list[Coverage]:
     )
 
 
-def names(table: list[Coverage]) -> str:
+def names(table: list[BandCoverage]) -> str:
     return "; ".join(one.name for one in wrong(table))
 
 
 def test_a_coverage_far_from_nominal_is_wrong_and_chance_is_not() -> None:
-    def table(held: int, value: float) -> list[Coverage]:
+    def table(held: int, value: float) -> list[BandCoverage]:
         return coverage(
             [
                 {
-                    "band": Figure(0.95, float(i < held), band=True),
-                    "average": Figure(1.0, value + 0.1 * (-1) ** i, band=False),
+                    "band": RunFigure(0.95, float(i < held), band=True),
+                    "average": RunFigure(1.0, value + 0.1 * (-1) ** i, band=False),
                 }
                 for i in range(100)
             ]
@@ -70,7 +70,7 @@ def test_a_coverage_far_from_nominal_is_wrong_and_chance_is_not() -> None:
     assert names(table(95, 1.0)) == names(table(90, 1.02)) == ""
     assert names(table(80, 1.0)) == "band"
     assert names(table(95, 1.1)) == "average"
-    never = coverage([{"never": Figure(1.0, 1.0, band=False)}] * 5)
+    never = coverage([{"never": RunFigure(1.0, 1.0, band=False)}] * 5)
     assert never[0].p_value == 1.0
 
 
@@ -84,7 +84,7 @@ def test_a_sound_log_states_the_noise_that_it_has() -> None:
 
 @pytest.mark.slow
 def test_every_band_covers_its_nominal_share() -> None:
-    """benchmarks/trust_bands.py has 400 longer drives, with and without positions."""
+    """research/trust/bands.py has 400 longer drives, with and without positions."""
     table = judged_anew()
     assert len(table) > 60
     assert {one.runs for one in table} == {RUNS}

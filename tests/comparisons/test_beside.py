@@ -21,7 +21,7 @@ from comparisons.errors import InputError
 from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.log import Truth
 from comparisons.pipeline import beside
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.solve import solve
 from comparisons.report.run import RunReport
 from comparisons.report.solution import SolutionReport
@@ -52,9 +52,9 @@ def gone(pid: int, within_s: float = 60.0) -> bool:
         time.sleep(0.02)
 
 
-def elsewhere(function: Callable[..., T], *arguments: Any) -> Beside[T]:
+def elsewhere(function: Callable[..., T], *arguments: Any) -> BackgroundCall[T]:
     """Start a call that is large enough for a second process."""
-    return Beside(function, *arguments, size=(1, 0, 0), pays_from=1)
+    return BackgroundCall(function, *arguments, size=(1, 0, 0), pays_from=1)
 
 
 def refuse(text: str) -> None:
@@ -209,8 +209,8 @@ def test_where_no_process_is_to_be_had_the_call_is_made_here(
 
 @pytest.mark.usefixtures("second_core")
 def test_no_process_for_little_work_nor_in_a_thread_nor_without_memory() -> None:
-    assert not Beside(os.getpid, size=(4, 5, 1), pays_from=10).elsewhere
-    assert not Beside(os.getpid, size=(10**9, 10**9, 10), pays_from=10).elsewhere
+    assert not BackgroundCall(os.getpid, size=(4, 5, 1), pays_from=10).elsewhere
+    assert not BackgroundCall(os.getpid, size=(10**9, 10**9, 10), pays_from=10).elsewhere
     seen: list[bool] = []
     thread = threading.Thread(target=lambda: seen.append(elsewhere(os.getpid).elsewhere))
     thread.start()
@@ -221,17 +221,17 @@ def test_no_process_for_little_work_nor_in_a_thread_nor_without_memory() -> None
 def _watched(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Record where each call was made; all are large enough."""
     seen: list[bool] = []
-    init, result = Beside.__init__, Beside.result
+    init, result = BackgroundCall.__init__, BackgroundCall.result
 
-    def starting(self: Beside[Any], *arguments: Any, size: Any, pays_from: int) -> None:
+    def starting(self: BackgroundCall[Any], *arguments: Any, size: Any, pays_from: int) -> None:
         init(self, *arguments, size=size, pays_from=0)
 
-    def watching(self: Beside[Any]) -> Any:
+    def watching(self: BackgroundCall[Any]) -> Any:
         seen.append(self.elsewhere)
         return result(self)
 
-    monkeypatch.setattr(Beside, "__init__", starting)
-    monkeypatch.setattr(Beside, "result", watching)
+    monkeypatch.setattr(BackgroundCall, "__init__", starting)
+    monkeypatch.setattr(BackgroundCall, "result", watching)
     return seen
 
 

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.exports import EXPORTS
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Band, BlockAgreement
+from comparisons.checks.agreement import BlockAgreement, VarianceBand
 from comparisons.checks.diagnosis.diagnosis import Paths, diagnose
 from comparisons.checks.external_agreement import _widened, clock_words, coverage
 from comparisons.config import CheckConfig, EkfConfig
@@ -32,6 +31,7 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.references import filter_named
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckResult
+from research.trust.exports import EXPORTS
 from tests.commands import slamcheck, works
 from tests.helpers import present
 from tests.test_own_project import missing
@@ -427,10 +427,10 @@ def test_a_band_of_variances_is_as_wide_as_linearising_makes_it(
     """By a factor of two around what a right filter has, and never beyond four."""
     peer = BlockAgreement.of(np.zeros(2), np.eye(2), np.diag(ratios))
     peer = replace(peer, variance_ratio_least=ratios[0], variance_ratio_largest=ratios[1])
-    assert _widened(Band(0.5, 2.0), peer) == pytest.approx(band)
-    assert _widened(Band(0.5, 2.0), None) == Band()
+    assert _widened(VarianceBand(0.5, 2.0), peer) == pytest.approx(band)
+    assert _widened(VarianceBand(0.5, 2.0), None) == VarianceBand()
     unsure = replace(peer, variance_ratio_least=-np.inf)
-    assert _widened(Band(0.5, 2.0), unsure) == Band()
+    assert _widened(VarianceBand(0.5, 2.0), unsure) == VarianceBand()
 
 
 def stuck(given: ExternalEstimate) -> ExternalEstimate:

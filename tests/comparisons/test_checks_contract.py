@@ -25,7 +25,7 @@ from comparisons.jobs.check import check
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log, Truth
 from comparisons.pipeline.known import Known
-from comparisons.pipeline.records import Records
+from comparisons.pipeline.records import FilterRecords
 from comparisons.pipeline.solve import solve
 from comparisons.report.explain import event_checks, every_check
 from comparisons.report.html.page import page
@@ -108,7 +108,7 @@ def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     assert len({row.value for row in rows}) == len(rows)
 
 
-class Hidden(Records):
+class Hidden(FilterRecords):
     """Those of a filter of which double precision tells nothing."""
 
     @cached_property

@@ -562,3 +562,12 @@ def test_the_printed_command_turns_quaternions_and_times(taken: Path) -> None:
         assert np.abs(time_s - right.time_s).max() < 1e-6
         assert np.abs(found.pose - right.pose).max() < 1e-6
     (taken / "NEW").unlink()
+
+
+def test_a_command_that_has_moved_says_where(tmp_path: Path) -> None:
+    for words in (["reproduce"], ["reproduce", "N3.5", "--drives", "1"], ["reproduce", "--help"]):
+        said = refused(*words, cwd=tmp_path)
+        assert said.startswith("slamcheck: reproduce: the documents' figures are no part of")
+        assert "python -m research.documents FIGURE ... --data FOLDER" in said
+    assert "reproduce" not in slamcheck("--help", cwd=tmp_path).stdout
+    assert list(tmp_path.iterdir()) == []

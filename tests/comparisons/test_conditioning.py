@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.drives import far_away, fine, standing_still
 from comparisons.checks.agreement import EXACT
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
@@ -21,6 +20,7 @@ from comparisons.settings import configure
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState
 from graphslam.marginals import SingularProblemError
+from research.trust.drives import far_away, fine, standing_still
 from tests.helpers import assert_followed, compared, first_seconds, present, simulated
 
 

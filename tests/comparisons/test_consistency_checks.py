@@ -34,7 +34,7 @@ from comparisons.statistics import (
     normalised_difference,
     whiteness,
 )
-from comparisons.trace.events import Sensor
+from comparisons.trace.events import SensorDescription
 from tests.comparisons.drawn_innovations import drawn_sensor
 from tests.helpers import Array, central_difference, present, random_covariance, relative_error
 
@@ -314,7 +314,7 @@ def innovations(runs: Runs) -> SensorInnovations:
     epoch = np.arange(count) // 2
     landmark_index = 2 * (np.arange(count) // (2 * STEPS)) + np.arange(count) % 2
     return drawn_sensor(
-        Sensor(None, ("range", "bearing")), standard, epoch.astype(float), landmark_index
+        SensorDescription(None, ("range", "bearing")), standard, epoch.astype(float), landmark_index
     )
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.drives import open_case
 from comparisons.audit.audit import audit
 from comparisons.config import CheckConfig, EkfConfig, MapConfig, SmootherConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
@@ -17,8 +16,9 @@ from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve
 from comparisons.report.sections import ekf_result
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from ekf_reference.core.landmark_types import POINT
+from research.trust.drives import open_case
 from tests.comparisons.audit.toy_filter import Toy
 from tests.helpers import altered, compared, first_seconds, present, simulated, without_labels
 
@@ -115,7 +115,7 @@ def test_returns_of_a_map(changes: dict[str, object]) -> None:
 
 def test_events_of_an_audit(tmp_path: Path) -> None:
     Toy(1, 40).record(tmp_path / "a.trace")
-    found, trace = audit(tmp_path / "a.trace"), Trace(tmp_path / "a.trace")
+    found, trace = audit(tmp_path / "a.trace"), TraceReader(tmp_path / "a.trace")
     kinds: dict[str, int] = {}
     for event in trace:
         kinds[type(event).__name__] = kinds.get(type(event).__name__, 0) + 1

@@ -18,7 +18,7 @@ from comparisons.extensions.dense_maps.extension import DenseMapsFinding
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.odometry import RelativePoses
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from graphslam.scan import planar
 from tests.helpers import compared, present
 
@@ -49,7 +49,7 @@ def test_distances_equal_brute_force() -> None:
 
 
 def test_only_what_is_occupied_counts() -> None:
-    samples = Samples(
+    samples = LayerSamples(
         np.array([(0.0, 1.0), (0.0, 50.0)]), np.array((0.9, 0.3)), np.zeros(2, dtype=np.intp)
     )
     error = surface_error(samples, np.array([(-1.0, 0.0, 1.0, 0.0)]))

@@ -16,7 +16,7 @@ SEEDS = (1, 2, 5)
 def maps() -> list[DenseMapping]:
     """Drives of one loop through section 3.9's environment.
 
-    Beams are exact: what errs are the landmarks. With Table 3.1's beams see figure N3.17.
+    Beams are exact: what errs are the landmarks.
     """
     config = MapConfig(extensions={"dense_maps": DenseMapsConfig(layers=("occupancy",))})
     logs = [open_log("scan-loop-fine", choices=SimulationChoices(seed=seed)) for seed in SEEDS]

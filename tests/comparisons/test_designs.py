@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.designs import BROKEN, FORMS, LOGS, Design, Filter, results, unlabelled
-from benchmarks.designs import read_log as read_plain
-from benchmarks.odometry_drives import drive
 from comparisons.audit.audit import audit
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig
@@ -20,6 +17,9 @@ from comparisons.jobs.check import ExternalCheck, check
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.solve import Solution, solve
+from research.trust.designs import BROKEN, FORMS, LOGS, Design, Filter, results, unlabelled
+from research.trust.designs import read_log as read_plain
+from research.trust.odometry_drives import drive
 from tests.helpers import present
 
 Checked = Callable[..., ExternalCheck]

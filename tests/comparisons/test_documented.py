@@ -14,7 +14,6 @@ from comparisons.adapters.ekf_factory import build_association, build_ekf, settl
 from comparisons.config import LogSection, RunConfig, setting_default
 from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, Preset, same
-from comparisons.documented.rows import ROWS
 from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
@@ -27,15 +26,17 @@ from comparisons.settings import configure, run_config, run_options
 from comparisons.words import Row
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.trace import Trace
+from research.documents.constants import ROWS
 from tests.helpers import first_seconds, simulated
 from tools.settings_page import differs, in_code, markdown, undocumented, used
 
+LISTS = ("comparisons.documented", "research.documents.constants")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
 
 
 def wrong(row: Documented) -> str:
     """What is wrong with a row, empty where nothing is."""
-    own = [one for one in (row.at, *row.also) if one.startswith("comparisons.documented")]
+    own = [one for one in (row.at, *row.also) if one.startswith(LISTS)]
     if own:
         return f"{own[0]} is this list's own: {row.place} is compared with itself"
     if differs(row) and not any(map(str.isdigit, row.reason)):
@@ -65,7 +66,7 @@ def test_a_value_that_moved_away_is_found() -> None:
 
 
 def test_a_row_that_is_compared_with_itself_is_found() -> None:
-    own = "comparisons.documented.nieto_slam:_A_1"
+    own = "research.documents.constants:_A_1"
     sound = next(row for row in ROWS if not differs(row) and not row.is_setting)
     assert wrong(sound) == ""
     itself = dataclasses.replace(sound, value=in_code(own), at=own)

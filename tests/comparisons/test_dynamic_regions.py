@@ -13,7 +13,6 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.experiments.reproduction.nieto_motion import middles, score_dynamic
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.report import MapResult
@@ -30,6 +29,7 @@ from comparisons.logs.simulate.scan_drive import (
 )
 from comparisons.logs.simulate.scan_worlds import Mover
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer
+from research.documents.nieto_motion import middles, score_dynamic
 from tests.commands import works
 from tests.helpers import compared, present
 

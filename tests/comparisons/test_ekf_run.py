@@ -9,11 +9,11 @@ from comparisons.adapters.filter_loop import FilterObservers, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
-from comparisons.experiments.reproduction.drives import watched_run
 from comparisons.jobs.run import Comparison, Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
+from research.documents.drives import watched_run
 from tests.ekf_reference.filters.test_compressed import NoTheta
 from tests.helpers import compared, simulated
 

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.defects import CAUSES, named_first, shows
-from benchmarks.drives import open_case
 from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -41,6 +39,8 @@ from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
+from research.trust.defects import CAUSES, named_first, shows
+from research.trust.drives import open_case
 from tests.commands import works
 from tests.comparisons.former_trace import write_trace
 from tests.helpers import Array, compared, first_seconds, present

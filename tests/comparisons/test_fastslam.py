@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from benchmarks.fastslam import with_wheelbase
-from benchmarks.posterior_sampling import circle, draw_problem
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.fastslam.check import LEVEL, check_clouds, check_exact
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import Sampling, Start
+from comparisons.extensions.fastslam.drive import DriveStart, Sampling
 from comparisons.extensions.fastslam.extension import (
     FastSlamExtension,
     FastSlamFinding,
@@ -26,6 +24,8 @@ from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.report.run import RunReport
+from research.fastslam import with_wheelbase
+from research.posterior_sampling import circle, draw_problem
 from tests.helpers import present
 
 
@@ -118,7 +118,7 @@ def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
     comparison: Comparison, stretches: StretchComparison
 ) -> None:
     problem = comparison.gaps.problem
-    prior = Start(problem.prior_pose, problem.prior_covariance)
+    prior = DriveStart(problem.prior_pose, problem.prior_covariance)
     same, landmarks = between(problem, (0, problem.pose_count - 1), prior)
     np.testing.assert_array_equal(landmarks, np.arange(problem.landmark_count))
     for name in ("increment", "z", "measurement_pose", "measurement_landmark"):
@@ -183,7 +183,7 @@ def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> N
 
 @pytest.mark.slow
 def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> None:
-    """A loop with 0.1 rad of noise a step, of benchmarks/posterior_sampling.py."""
+    """A loop with 0.1 rad of noise a step, of research/posterior_sampling.py."""
     log = draw_problem(circle(), np.random.default_rng(0)).log
     given = RunConfig.model_validate({"extensions": {"fastslam": {"clouds": 64}}})
     comparison = compare(log, given)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.ekf_factory import build_ekf
-from comparisons.adapters.filter_loop import Beside, FilterObservers, run_filter_loop
+from comparisons.adapters.filter_loop import FilterAttachment, FilterObservers, run_filter_loop
 from comparisons.adapters.filter_variants import FirstEstimatesEkf, InvariantState
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array, Index
@@ -128,7 +128,7 @@ def with_pose_landmarks(
     ekf.stabilisation, ekf.fixes = plain.stabilisation, plain.fixes
     if fault.plant is not None:
         fault.plant(ekf)
-    beside = Beside(source=Corners())
+    beside = FilterAttachment(source=Corners())
     with np.errstate(all="ignore"):
         for state in run_filter_loop(ekf, given, timeline, None, beside):
             assert state.fault is None

@@ -19,12 +19,12 @@ from comparisons.estimates.reference import Reference
 from comparisons.faults.catalogue import NAMED, catalogue, families, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.fingerprints.estimate_motion import integrations_by_steps
-from comparisons.fingerprints.fit import Fit, nearest
+from comparisons.fingerprints.fit import FaultFit, nearest
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.trial import (
     LEAST_SHARE,
+    FaultTrial,
     Fingerprint,
-    Trial,
     Way,
     filter_with,
     stamp_rounding,
@@ -224,7 +224,7 @@ def test_a_plant_is_looked_for_beside_numbers_that_are_not_planted(beside: str, 
         left = min({"planted": 0.1, "fed": 0.2}.get(one, 1.0) for one in fault.what.split(", and "))
         return np.full(4, left)
 
-    fit = Fit(NONE, (number,), np.array((0.5,)), np.ones(4))
+    fit = FaultFit(NONE, (number,), np.array((0.5,)), np.ones(4))
     assert present(nearest(fit, faults, remainder)).what == named
 
 
@@ -261,7 +261,7 @@ def test_what_parts_in_the_first_half_is_no_explanation(solution: Solution, shar
     late = np.arange(len(given.time_s)) > share * len(given.time_s)
     given = replace(given, pose=given.pose + 1e3 * late[:, None])
     near = likeness(given, sound, labelled=True)
-    trial = Trial(given, solution.prepared, near, Way("", solution.log, EKF))
+    trial = FaultTrial(given, solution.prepared, near, Way("", solution.log, EKF))
     found = trial.of(fault)
     assert (found is not None) == (share > LEAST_SHARE)
     if found is not None:

@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.stranger_faults import FORGETFUL, HINTS, Fault
-from benchmarks.strangers import Single
-from benchmarks.trust_hints import IN_SINGLE, Case, checked, hint_parts, simulated
 from comparisons.checks.algebra import HINT
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
@@ -14,12 +11,15 @@ from comparisons.faults.fault import Method, moving
 from comparisons.jobs.external_trace import TraceCheck
 from comparisons.jobs.run import Modified
 from ekf_reference.models.motion import MotionStep
+from research.trust.hints import IN_SINGLE, HintCase, checked, hint_parts, simulated
+from research.trust.stranger_faults import FORGETFUL, HINTS, StrangerFault
+from research.trust.strangers import Single
 from tests.helpers import Array, compared
 from tests.helpers import simulated as driven
 
 
 @pytest.fixture(scope="module")
-def ready() -> Case:
+def ready() -> HintCase:
     return simulated(loop_s=30.0)
 
 
@@ -31,16 +31,16 @@ def said(check: TraceCheck) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", HINTS[::9], ids=lambda fault: fault.name)
-def test_a_fault_is_named(fault: Fault, ready: Case) -> None:
+def test_a_fault_is_named(fault: StrangerFault, ready: HintCase) -> None:
     parts = hint_parts(checked(fault.plant(ready.sound), ready))
     assert fault.judge(parts) == "right", parts
 
 
-def test_a_sound_filter_is_told_nothing(ready: Case) -> None:
+def test_a_sound_filter_is_told_nothing(ready: HintCase) -> None:
     assert said(checked(ready.sound, ready)) == []
 
 
-def test_storing_in_single_precision_is_no_fault(ready: Case) -> None:
+def test_storing_in_single_precision_is_no_fault(ready: HintCase) -> None:
     check = checked(ready.sound, ready, stored_single=True)
     assert check.agreement.algebra.sigma > 1e-6
     assert said(check) == []
@@ -56,7 +56,7 @@ def test_computing_in_single_precision_is_named() -> None:
     assert all(IN_SINGLE in part for part in parts)
 
 
-def test_a_dropped_covariance_is_no_matter_of_precision(ready: Case) -> None:
+def test_a_dropped_covariance_is_no_matter_of_precision(ready: HintCase) -> None:
     check = checked(FORGETFUL(ready.sound), ready, stored_single=True)
     assert said(check) == [HINT]
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.exports import EXPORTS, FEEDS
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.filter_variants import (
     BackwardEkf,
@@ -26,10 +25,10 @@ from comparisons.adapters.filter_variants import (
 from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Band, Gap
+from comparisons.checks.agreement import Gap, VarianceBand
 from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.external_agreement import _whole, compare_external
-from comparisons.checks.grade import GRADES, Grade, Part, _missing, eigenvalues, joint_pair
+from comparisons.checks.grade import GRADES, EstimatePart, Grade, _missing, eigenvalues, joint_pair
 from comparisons.config import EkfConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
@@ -40,6 +39,7 @@ from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.words import Cause
 from ekf_reference.core.ekf import Ekf
+from research.trust.exports import EXPORTS, FEEDS
 from tests.commands import slamcheck
 from tests.helpers import present
 
@@ -296,7 +296,7 @@ def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
     alone = compare_external(
         ExternalEstimate.of(solution.estimate), optimum, peers=(), labelled=True
     )
-    assert (alone.band, alone.against) == (Band(0.5, 2.0), ())
+    assert (alone.band, alone.against) == (VarianceBand(0.5, 2.0), ())
 
 
 def test_a_filters_map_is_near_the_optimum_in_the_same_directions(
@@ -354,14 +354,16 @@ def test_a_factor_is_fitted_where_one_covariance_is_negative() -> None:
 
 def test_what_is_not_a_number_is_not_like_anything() -> None:
     none = np.full(2, np.nan)
-    assert Part("poses", np.zeros(2), none, none).within(0.05, 0.05)
-    assert not Part("poses", none, none, none).within(0.05, 0.05)
-    assert not Part("poses", np.zeros(2), np.zeros(2), np.full(2, np.inf)).within(0.05, 0.05)
+    assert EstimatePart("poses", np.zeros(2), none, none).within(0.05, 0.05)
+    assert not EstimatePart("poses", none, none, none).within(0.05, 0.05)
+    assert not EstimatePart("poses", np.zeros(2), np.zeros(2), np.full(2, np.inf)).within(
+        0.05, 0.05
+    )
 
 
 def test_what_single_precision_may_change_is_added_to_each_limit() -> None:
     """The limits themselves are within."""
-    at_the_limit = Part("poses", np.ones(1), np.ones(1), np.array([1.25]), (0.5, 0.125))
+    at_the_limit = EstimatePart("poses", np.ones(1), np.ones(1), np.array([1.25]), (0.5, 0.125))
     assert at_the_limit.within(0.5, 0.125)
     assert not at_the_limit.within(0.25, 0.125)
     assert not at_the_limit.within(0.5, 0.0625)

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from comparisons.cli.app import COMMANDS, build, main
 from comparisons.cli.config import JobName, _kind
-from comparisons.cli.flags import Command, Given, from_flags
+from comparisons.cli.flags import Arguments, DenseHelpCommand, from_flags
 from comparisons.config import JOBS, RunConfig, config_class
 from comparisons.errors import InputError
 from comparisons.extension_names import EXTENSIONS
@@ -65,11 +65,11 @@ def test_a_help_with_all_options_is_too_long(capsys: pytest.CaptureFixture[str])
     import typer
 
     @from_flags(RUN, " ".join(flag.option for flag in RUN))
-    def run(given: Given) -> None:
+    def run(given: Arguments) -> None:
         """Run."""
 
     app = typer.Typer()
-    app.command(cls=Command)(run)
+    app.command(cls=DenseHelpCommand)(run)
     typer.main.get_command(app)(args=["--help"], standalone_mode=False)
     assert len(capsys.readouterr().out.splitlines()) > MOST_LINES
 

@@ -13,7 +13,7 @@ from comparisons.arrays import Array, Index
 from comparisons.report.html import heat_map
 from comparisons.report.html.curves import MOST_POINTS, data_block, panel_data, short, thinned
 from comparisons.report.html.map import ratio_colours
-from comparisons.report.marks import Band, Curve, Panel
+from comparisons.report.marks import Curve, FilledBand, Panel
 
 
 def spiky(count: int = 50_000) -> Array:
@@ -70,7 +70,8 @@ def test_a_panel_counts_time_from_the_start_and_survives_nan() -> None:
     bad = np.array((1.0, np.nan, -np.inf, 2.0, 3.0))
     panel = Panel(
         title="</script>", x_label="time [s]", curves=(Curve("'\"", "#000", time_s, bad),),
-        bands=(Band(name="b", colour="#000", x=time_s, low=-bad, high=bad),), logarithmic=True,
+        bands=(FilledBand(name="b", colour="#000", x=time_s, low=-bad, high=bad),),
+        logarithmic=True,
     )  # fmt: skip
     said = panel_data(panel, 1.6e9)
     assert said["curves"][0]["x"] == [0, 1, 2, 3, 4]

@@ -15,7 +15,7 @@ from comparisons.report.ladder import (
     OWN_ASSOCIATION,
     SMOOTHER,
     TRUTH,
-    Step,
+    LadderStep,
     gap_steps,
     ladder,
 )
@@ -94,7 +94,7 @@ def test_marks_lie_on_one_scale(result: Result) -> None:
 
 def test_a_limit_is_drawn_only_where_it_explains_the_outcome() -> None:
     """A filter that is conservative on purpose passes with more than rounding."""
-    step = Step(gap="algebra", above=EKF, below=LINEAR, sigma=1e-3, limit=1e-6)
+    step = LadderStep(gap="algebra", above=EKF, below=LINEAR, sigma=1e-3, limit=1e-6)
     key = ladder_picture([replace(step, sigma=1e-9)]).count('class="limit"') - 1
     assert key == 1
     assert ladder_picture([step]).count('class="limit"') == 1
@@ -128,7 +128,7 @@ def test_a_grade_does_not_need_the_linearisation(result: Result) -> None:
 
 
 def test_an_infinite_gap_lies_on_the_scale_and_an_unknown_one_does_not() -> None:
-    step = Step(gap="algebra", above=EXTERNAL, below=LINEAR, sigma=None, fails=True)
+    step = LadderStep(gap="algebra", above=EXTERNAL, below=LINEAR, sigma=None, fails=True)
     text = ladder_picture([step])
     assert "infinite" in text
     assert places(text, "mean") == [348.0]
@@ -139,6 +139,6 @@ def test_an_infinite_gap_lies_on_the_scale_and_an_unknown_one_does_not() -> None
 
 def test_a_long_name_stays_in_its_box() -> None:
     name = "EKF with sequential (one landmark at a time) updates"
-    step = Step(gap="reference", above=EXTERNAL, below=name, sigma=1.0)
+    step = LadderStep(gap="reference", above=EXTERNAL, below=name, sigma=1.0)
     assert re.search(rf'textLength="\d+"[^>]*>{re.escape(name)}<', ladder_picture([step]))
     assert "textLength" not in ladder_picture([replace(step, below="reference EKF")])

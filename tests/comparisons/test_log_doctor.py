@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.odometry_drives import drive
 from comparisons.checks.diagnosis import log_doctor
 from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.checks.diagnosis.log_fit import fitted_numbers, promising, solve_by_run
@@ -22,6 +21,7 @@ from comparisons.logs.odometry import VelocityOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from graphslam.optimum import ChiSquareTest
+from research.trust.odometry_drives import drive
 from tests.commands import slamcheck
 from tests.comparisons.damaged_logs import EVERY, POSES, WHEELS, late
 from tests.helpers import compared, present, without_labels

@@ -17,7 +17,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.report.map_export import Raster, rasterise, window, write_image, write_ros_map
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
-from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.points import AllReturns
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from tests.commands import files_in, refused, works
 
@@ -138,7 +138,7 @@ def one_region() -> RegionsAtMap:
 
 
 def test_a_layer_is_read_at_the_centres_of_cells() -> None:
-    placed, layer = one_region(), Points(0.3)
+    placed, layer = one_region(), AllReturns(0.3)
     local = np.array([(0.375, 0.125)])
     hits = Hits(
         region=np.zeros(1, dtype=np.intp),
@@ -156,7 +156,7 @@ def test_a_layer_is_read_at_the_centres_of_cells() -> None:
 
 def test_a_picture_without_end_is_refused() -> None:
     with pytest.raises(InputError, match="coarser"):
-        rasterise(Points(), one_region(), 1e-4)
+        rasterise(AllReturns(), one_region(), 1e-4)
 
 
 def test_no_regions_no_window() -> None:

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.stranger_faults import Plant, changed, instead, scaled, spread
-from benchmarks.strangers import Array, Ekf, read_log
 from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
@@ -22,6 +20,8 @@ from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
 from comparisons.words import Cause
+from research.trust.stranger_faults import Plant, changed, instead, scaled, spread
+from research.trust.strangers import Array, TextbookEkf, read_log
 from tests.comparisons.newcomers import (
     Arc,
     ByRow,
@@ -59,7 +59,7 @@ class Newcomer(ByRow, Arc):
     """Uses one measurement after the other, and leaves no trace."""
 
 
-def judged(kind: type[Ekf], folder: Path, out: Path) -> ExternalCheck:
+def judged(kind: type[TextbookEkf], folder: Path, out: Path) -> ExternalCheck:
     kind(read_log(folder)).run().write(out, traced=False)
     return slamcheck.check(slamcheck.load_log(folder), out, require="like")
 
@@ -93,12 +93,12 @@ def test_a_filter_of_short_euler_steps_is_equal(
     assert said in found.remarks[0]
 
 
-def apart_from_the_map(own: Method, ekf: Ekf, k: int) -> None:
+def apart_from_the_map(own: Method, ekf: TextbookEkf, k: int) -> None:
     own(k)
     ekf.p[-2:, 3:-2] = ekf.p[3:-2, -2:] = 0.0
 
 
-def unwrapped(own: Method, ekf: Ekf, pose: Array, point: Array) -> Any:
+def unwrapped(own: Method, ekf: TextbookEkf, pose: Array, point: Array) -> Any:
     (x, y), found = point - pose[:2], own(pose, point)
     return (np.array([found[0][0], np.arctan2(y, x) - pose[2]]), *found[1:])
 
@@ -146,7 +146,7 @@ def hard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def unscented_grades(kind: type[Ekf], folder: Path, out: Path) -> list[str | None]:
+def unscented_grades(kind: type[TextbookEkf], folder: Path, out: Path) -> list[str | None]:
     """Grades of an estimate beside the unscented filters that are fitted to it."""
     kind(read_log(folder)).run().write(out, traced=False)
     prepared, given = solve(slamcheck.load_log(folder)).prepared, read_external(out)
@@ -158,7 +158,7 @@ def unscented_grades(kind: type[Ekf], folder: Path, out: Path) -> list[str | Non
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [UnscentedHalf, UnscentedThird, Cubature])
 def test_sigma_points_are_found_and_no_fault_is_taken_for_them(
-    kind: type[Ekf], hard: Path, tmp_path: Path
+    kind: type[TextbookEkf], hard: Path, tmp_path: Path
 ) -> None:
     assert "equal" in unscented_grades(kind, hard, tmp_path / "mine")
     faulty = scaled("noise", 0.5)(kind)
@@ -174,7 +174,7 @@ def test_an_unscented_filter_is_equal_whatever_its_sigma_points(hard: Path, tmp_
     assert all(one.grade is None for one in others)
 
 
-def shortened(own: Method, ekf: Ekf, z: Array, expected: Array) -> Any:
+def shortened(own: Method, ekf: TextbookEkf, z: Array, expected: Array) -> Any:
     """A fault that no catalogue has: every range is shortened by its bearing."""
     return own(z - (0.3 * abs(z[1]), 0.0), expected)
 
@@ -197,7 +197,7 @@ def test_a_fault_that_comes_late_is_dated(folder: Path, tmp_path: Path, traced: 
     log = slamcheck.load_log(folder)
     since = float(np.unique(log.measurements.time_s)[8])
 
-    def smaller(ekf: Ekf, k: int, r: Array) -> Array:
+    def smaller(ekf: TextbookEkf, k: int, r: Array) -> Array:
         return 0.3 * r if ekf.log.used_s[k] >= since else r
 
     changed("noise", smaller)(Newcomer)(read_log(folder)).run().write(

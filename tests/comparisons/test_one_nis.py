@@ -19,7 +19,7 @@ from comparisons.config import EkfConfig
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.trace.events import Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT
 
@@ -62,7 +62,7 @@ def figures(sensors: Iterable[SensorInnovations]) -> dict[str, float]:
 
 
 def of_trace(folder: Path) -> tuple[SensorInnovations, ...]:
-    trace = Trace(folder / "run.trace")
+    trace = TraceReader(folder / "run.trace")
     return event_innovations(trace, trace.sensors)
 
 

@@ -15,7 +15,7 @@ from comparisons.jobs.run import Comparison
 from comparisons.report import panels
 from comparisons.report.figures.style import draw_estimate
 from comparisons.report.job import report_of
-from comparisons.report.ladder import Step
+from comparisons.report.ladder import LadderStep
 from comparisons.report.marks import ellipses
 from comparisons.report.run import RunReport
 from comparisons.report.terminal import Summary
@@ -133,7 +133,7 @@ def test_fastslam_has_a_look_on_the_map(run: Comparison, axis: Axes) -> None:
     assert len(line(axis, "FastSLAM trajectory")) == len(run.smoothed.pose)
 
 
-def assert_ladder(axis: Axes, steps: list[Step]) -> None:
+def assert_ladder(axis: Axes, steps: list[LadderStep]) -> None:
     """A row for each gap, in the ladder's order, its disc at the difference of the means."""
     assert len(axis.get_yticks()) == len(steps)
     for row, step in enumerate(steps):
@@ -158,7 +158,7 @@ def test_the_ladder_has_the_limits_that_the_page_has(
     run: Comparison, axis: Axes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """None of a gap that passes though it is beyond: rounding explains it."""
-    step = Step(gap="algebra", above="EKF", below="linear", sigma=1e-3, limit=1e-6)
+    step = LadderStep(gap="algebra", above="EKF", below="linear", sigma=1e-3, limit=1e-6)
     steps = [step, replace(step, sigma=1e-9), replace(step, fails=True)]
     monkeypatch.setattr(RunReport, "summary", lambda _: Summary(headline="", steps=steps))
     slamcheck.plot_ladder(run, axis)

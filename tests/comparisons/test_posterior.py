@@ -10,7 +10,7 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.extensions.posterior.extension import (
-    Judged,
+    GaussianJudgement,
     PosteriorFinding,
     check_posterior,
     fails,
@@ -20,8 +20,8 @@ from comparisons.extensions.posterior.extension import (
 from comparisons.jobs.run import Comparison, compare
 from comparisons.report.run import RunReport, run_rows
 from comparisons.settings import run_config
-from graphslam.chain_diagnostics import Estimated, chain_evidence
-from graphslam.sampling import Judgement, PosteriorDraws
+from graphslam.chain_diagnostics import SampledFigure, chain_evidence
+from graphslam.sampling import PosteriorComparison, PosteriorDraws
 from tests.helpers import first_seconds, present, simulated
 
 
@@ -35,8 +35,10 @@ def finding() -> PosteriorFinding:
     return short().find(PosteriorFinding)
 
 
-def judgement(coverage: float, least: float) -> Judgement:
-    return Judgement(Estimated(coverage, 0.003), Estimated(least, 0.02), Estimated(1.0, 0.02))
+def judgement(coverage: float, least: float) -> PosteriorComparison:
+    return PosteriorComparison(
+        SampledFigure(coverage, 0.003), SampledFigure(least, 0.02), SampledFigure(1.0, 0.02)
+    )
 
 
 def test_a_short_run_has_an_entry_and_rows() -> None:
@@ -80,8 +82,10 @@ def test_what_fails_is_named() -> None:
     good, narrow, flat = judgement(0.95, 1.0), judgement(0.5, 1.0), judgement(0.95, 0.3)
     ids = np.array([4, 7, 9, 11])
 
-    def named(pose: Judgement, whole: Judgement, *landmarks: Judgement) -> list[str]:
-        return failures(Judged(pose, landmarks, whole), ids)
+    def named(
+        pose: PosteriorComparison, whole: PosteriorComparison, *landmarks: PosteriorComparison
+    ) -> list[str]:
+        return failures(GaussianJudgement(pose, landmarks, whole), ids)
 
     assert named(good, good, good, good, good, good) == []
     assert named(narrow, good, good, flat, good, good) == ["the last pose", "landmark 7"]
@@ -90,9 +94,11 @@ def test_what_fails_is_named() -> None:
 
 
 def test_chance_does_not_fail_a_gaussian() -> None:
-    near = Judgement(Estimated(0.895, 0.003), Estimated(0.75, 0.02), Estimated(1.0, 0.02))
+    near = PosteriorComparison(
+        SampledFigure(0.895, 0.003), SampledFigure(0.75, 0.02), SampledFigure(1.0, 0.02)
+    )
     assert not fails(near)
-    assert fails(replace(near, coverage=Estimated(0.885, 0.003)))
+    assert fails(replace(near, coverage=SampledFigure(0.885, 0.003)))
 
 
 def test_without_convergence_nothing_is_judged() -> None:

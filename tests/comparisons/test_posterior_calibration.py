@@ -1,11 +1,11 @@
-"""Simulation-based calibration of the draws, as benchmarks/posterior_sampling.py does it."""
+"""Simulation-based calibration of the draws, as research/posterior_sampling.py does it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.posterior_sampling import (
+from research.posterior_sampling import (
     SIGNIFICANCE,
     THINNED,
     draw_problem,

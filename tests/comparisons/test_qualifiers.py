@@ -31,7 +31,7 @@ from comparisons.logs.log import Log, Poses, Prior, Truth
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.run import RunReport
 from comparisons.settings import run_config
-from comparisons.trace.events import Sensor
+from comparisons.trace.events import SensorDescription
 from tests.commands import slamcheck, works
 from tests.comparisons.drawn_innovations import drawn_sensor
 from tests.helpers import compared, first_seconds, present, simulated, without_labels
@@ -220,7 +220,9 @@ def drawn(rng: np.random.Generator) -> Consistency:
     """Of two sensors that are as the filter believes, and nothing else."""
     sensors = tuple(
         replace(
-            drawn_sensor(Sensor(None, ("first", "second")), rng.standard_normal((200, 2))),
+            drawn_sensor(
+                SensorDescription(None, ("first", "second")), rng.standard_normal((200, 2))
+            ),
             sensor=name,
         )
         for name in ("measurements", "positions")

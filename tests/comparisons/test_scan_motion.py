@@ -24,7 +24,7 @@ from comparisons.logs.simulate.scan_drive import (
     dense_slam_in_space,
     simulate,
 )
-from graphslam.increments import Samples, compose
+from graphslam.increments import MotionSamples, compose
 from graphslam.scan import planar
 from tests.comparisons.test_front_end_faults import with_scans, without_odometry
 from tests.helpers import compared, present, random_covariance, relative_error
@@ -133,7 +133,7 @@ def test_divided_increments_compose_to_the_whole() -> None:
     rng = np.random.default_rng(1)
     knots = np.array([0.0, 0.5, 1.5, 2.0])
     times = np.array([0.0, 0.1, 0.4, 0.5, 1.5, 1.6, 1.7, 2.0])
-    whole = Samples(
+    whole = MotionSamples(
         rng.standard_normal((3, 3)) * (1.0, 0.2, 0.3),
         np.array([1e-4 * random_covariance(rng, 3) for _ in range(3)]),
     )
@@ -145,7 +145,7 @@ def test_divided_increments_compose_to_the_whole() -> None:
     traces = np.trace(again.covariance, axis1=1, axis2=2)
     assert np.allclose(traces, np.trace(whole.covariance, axis1=1, axis2=2), rtol=0.5)
     half = np.array([[0.0, 0.0, 0.0]])
-    straight = divide(Samples(half, whole.covariance[:1]), knots[:2], knots[[0, 1]])
+    straight = divide(MotionSamples(half, whole.covariance[:1]), knots[:2], knots[[0, 1]])
     assert np.array_equal(straight.displacement, half)
 
 

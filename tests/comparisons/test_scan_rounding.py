@@ -12,7 +12,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from benchmarks.scan_car_park import SIZE, perturbed
 from comparisons.adapters import beam_noise
 from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.time_window import cut_log
@@ -21,10 +20,11 @@ from comparisons.logs.log import Log
 from comparisons.logs.scans import Scans
 from ekf_reference.scan_landmarks import segmentation, templates
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
-from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
+from ekf_reference.scan_landmarks.templates import SensorView, Template, share_in_view
 from ekf_reference.scan_matching import scan_shape, search
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from research.scan_car_park import SIZE, perturbed
 from tests.comparisons.scan_rounding import Difference, difference, outcome
 from tests.ekf_reference.scan_matching.scenes import BEAMS, COURT, LASER, YARD, ranges
 from tests.helpers import Array
@@ -88,7 +88,7 @@ def segments_cut(one: Array, angle_rad: Array) -> object:
 def in_view(one: Array, angle_rad: Array) -> object:
     """Of returns at the rims, just where they were seen."""
     scan = made(10.0 * one, angle_rad)
-    view = View(50.0, float(angle_rad[0]), float(angle_rad[-1]))
+    view = SensorView(50.0, float(angle_rad[0]), float(angle_rad[-1]))
     return share_in_view(Template(scan, np.zeros(3)), scan, np.zeros(3), view)
 
 
@@ -106,7 +106,7 @@ def hidden_by_the_least(one: Array, angle_rad: Array) -> object:
 
 def seen_behind(nearer: Array, one: Array, angle_rad: Array) -> float:
     template = Template(made(20.0 * one[::-1], angle_rad), np.zeros(3))
-    view = View(50.0, -2.0, 2.0)
+    view = SensorView(50.0, -2.0, 2.0)
     return share_in_view(template, made(nearer, angle_rad), np.zeros(3), view)
 
 

@@ -27,7 +27,7 @@ from comparisons.config import (
     OdometryConfig,
     ReportConfig,
     RunConfig,
-    Section,
+    SettingsGroup,
     SmootherConfig,
     SolveConfig,
     choices_of,
@@ -125,7 +125,7 @@ def _values(thing: object, met: set[int]) -> Iterator[bytes]:
         yield repr(thing.bit_generator.state).encode()
     elif isinstance(thing, type | Path):
         yield str(thing).encode()
-    elif not isinstance(thing, Section | Log) and id(thing) not in met:
+    elif not isinstance(thing, SettingsGroup | Log) and id(thing) not in met:
         met.add(id(thing))
         for name, below in _parts(thing):
             yield name.encode()
@@ -152,7 +152,7 @@ def _parts(thing: object) -> list[tuple[str, object]]:
     return [*found.items(), *getattr(thing, "__dict__", {}).items()]
 
 
-def seen(observe: Observer, section: Section) -> str:
+def seen(observe: Observer, section: SettingsGroup) -> str:
     """What runs with a section: a hash of what it holds, or why it is refused."""
     try:
         return held(observe(section))
@@ -162,7 +162,7 @@ def seen(observe: Observer, section: Section) -> str:
         return f"refused: {error}"
 
 
-def another(kind: type[Section], name: str, given: Mapping[str, Any]) -> Section:
+def another(kind: type[SettingsGroup], name: str, given: Mapping[str, Any]) -> SettingsGroup:
     """A section with another value of one setting, which its class takes."""
     now = getattr(kind.of(**given), name)
     number = isinstance(now, int | float) and not isinstance(now, bool)
@@ -179,7 +179,7 @@ def another(kind: type[Section], name: str, given: Mapping[str, Any]) -> Section
     raise AssertionError(f"{kind.__name__}.{name}: this test knows no other value than {now!r}")
 
 
-def silent(kind: type[Section], observe: Observer, beside: Contexts) -> list[str]:
+def silent(kind: type[SettingsGroup], observe: Observer, beside: Contexts) -> list[str]:
     """Settings of a section that nothing which runs holds, with what stood beside them."""
     usual = cache(lambda text: seen(observe, kind.of(**given[text])))
     found, given = [], dict[str, Mapping[str, Any]]()
@@ -308,7 +308,7 @@ def _stop(*found: object) -> None:
     raise _StoppedError(*found)
 
 
-OBSERVERS: Mapping[str, tuple[type[Section], Observer]] = {
+OBSERVERS: Mapping[str, tuple[type[SettingsGroup], Observer]] = {
     "log": (LogSection, of_log),
     "ekf": (EkfConfig, of_filter),
     "smoother": (SmootherConfig, of_smoother),
@@ -346,7 +346,9 @@ def test_every_section_and_setting_of_every_job_is_among_them() -> None:
     missing = []
     for job, kind in JOBS.items():
         for name, field in kind.model_fields.items():
-            section = inspect.isclass(field.annotation) and issubclass(field.annotation, Section)
+            section = inspect.isclass(field.annotation) and issubclass(
+                field.annotation, SettingsGroup
+            )
             known = name in OBSERVERS if section else {f"{job}.{name}"} & {*SINGLE, *SHOWN}
             if not known and name not in ("job", "extensions"):
                 missing.append(f"{job}.{name}")

@@ -20,7 +20,7 @@ from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels
 from comparisons.report.run import RunReport, run_rows
 from comparisons.trace.events import Event, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.helpers import altered, compared, present, simulated
 from tests.scenarios import scenario
@@ -128,7 +128,7 @@ def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     assert 0.0 < said < 180.0
     assert found.of(HEADING).sigma == pytest.approx(said, rel=1e-6)
     for broken in (half_of_the_updates, first_estimates):
-        wrong = present(spurious.learnt(broken(Trace(trace))))
+        wrong = present(spurious.learnt(broken(TraceReader(trace))))
         assert wrong.of(HEADING).sigma != pytest.approx(said, rel=1e-6)
 
 

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.stranger_faults import HINTS
-from benchmarks.strangers import Ekf, read_log
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.config import CheckConfig
@@ -31,7 +29,9 @@ from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.logs.transforms.clock import timed_by_floats
 from comparisons.pipeline.solve import prepare_solve
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
+from research.trust.stranger_faults import HINTS
+from research.trust.strangers import TextbookEkf, read_log
 from tests.comparisons.newcomers import Course, Euler, simulate
 from tests.helpers import compared, present, simulated
 
@@ -100,7 +100,7 @@ def retimed(folder: Path, change: Callable[[str], Decimal]) -> None:
     path = folder / "trajectory.tum"
     rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
     path.write_text("".join(f"{change(time)} {rest}\n" for time, rest in rows))
-    exact = list(Trace(folder / TRACE))
+    exact = list(TraceReader(folder / TRACE))
     (folder / TRACE).unlink()
     with slamcheck.Recorder(folder / TRACE) as record:
         for event in exact:
@@ -166,7 +166,7 @@ def write_since_1970(
     whole: bool,
     traced: bool = False,
     bare: bool = False,
-    kind: type[Ekf] = Ekf,
+    kind: type[TextbookEkf] = TextbookEkf,
 ) -> None:
     """Write the estimate of a filter that reads stamps as whole nanoseconds, or as floats.
 
@@ -196,12 +196,17 @@ def write_since_1970(
 
 
 def since_1970(
-    folder: Path, out: Path, *, kind: type[Ekf] = Ekf, traced: bool = False, **more: bool
+    folder: Path,
+    out: Path,
+    *,
+    kind: type[TextbookEkf] = TextbookEkf,
+    traced: bool = False,
+    **more: bool,
 ) -> ExternalCheck:
     """The check of a filter, as of `write_since_1970`."""
     write_since_1970(folder, out, kind=kind, traced=traced, **more)
     found = slamcheck.check(slamcheck.load_log(folder), out, require="like")
-    if traced and kind is Ekf:
+    if traced and kind is TextbookEkf:
         assert present(found.trace).agreement.model.within(1e-6)
     return found
 
@@ -254,7 +259,7 @@ def test_stamps_since_1970_are_taken_as_the_filter_had_them(
     assert since_1970(log, tmp_path / "other", whole=whole).grade.value == "like"
 
 
-RANGES = {fault.name: fault for fault in HINTS}["range scale"].plant(Ekf)
+RANGES = {fault.name: fault for fault in HINTS}["range scale"].plant(TextbookEkf)
 """A filter whose ranges are 1.03 times the log's: it leaves the reference at an update."""
 
 
@@ -288,9 +293,9 @@ def test_a_wrong_filter_leaves_where_its_fault_is(
 
 
 @pytest.mark.parametrize("whole", [True, False])
-@pytest.mark.parametrize("kind", [Ekf, Euler, RANGES])
+@pytest.mark.parametrize("kind", [TextbookEkf, Euler, RANGES])
 def test_the_first_poses_tell_which_stamps_a_filter_worked_with(
-    whole: bool, kind: type[Ekf], tmp_path: Path
+    whole: bool, kind: type[TextbookEkf], tmp_path: Path
 ) -> None:
     """By steps, or without any, as where poses are those after each scan alone."""
     log_path = tmp_path / "log"

@@ -16,7 +16,7 @@ from comparisons.figures import METRES, Less, More, Named, percent, rows_of
 from comparisons.jobs.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
-from comparisons.report.ladder import Step
+from comparisons.report.ladder import LadderStep
 from comparisons.report.rows import gap_rows
 from comparisons.report.run import RunReport
 from comparisons.report.solution import SolutionReport
@@ -44,8 +44,8 @@ FULL = Summary(
     causes=[CAUSE] * 7,
     remarks=[LONG] * 9,
     steps=[
-        Step(gap=gap, above="EKF", below="linear problem, smoother's factors", sigma=-1.2e-101,
-             covariance=-1.2e-101, fails=True)
+        LadderStep(gap=gap, above="EKF", below="linear problem, smoother's factors",
+                   sigma=-1.2e-101, covariance=-1.2e-101, fails=True)
         for gap in ("algebra", "model", "linearisation", "truth")
     ],
     lines=[(name, LONG) for name in ("agreement", "consistency", "accuracy")],
@@ -198,7 +198,7 @@ def test_real_outcomes_keep_their_width() -> None:
 
 
 def test_the_ladder_has_a_limit_for_each_gap() -> None:
-    step = Step(gap="linearisation", above="EKF", below="smoother", sigma=6.2, limit=1.0)
+    step = LadderStep(gap="linearisation", above="EKF", below="smoother", sigma=6.2, limit=1.0)
     open_end = replace(step, sigma=None, limit=None, judged=False)
     heading, passed, absent = (
         line.text.split() for line in brief(Summary(headline="", steps=[step, open_end]))[1:]
@@ -209,7 +209,9 @@ def test_the_ladder_has_a_limit_for_each_gap() -> None:
 
 
 def test_a_gap_is_marked_where_it_exceeds_its_limit() -> None:
-    step = Step(gap="linearisation", above="a", below="b", sigma=6.2, covariance=2.0, limit=1.0)
+    step = LadderStep(
+        gap="linearisation", above="a", below="b", sigma=6.2, covariance=2.0, limit=1.0
+    )
     for changed, marks in (
         (replace(step, fails=True), [False, None]),
         (replace(step, sigma=0.5), [True, None]),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import slamcheck
-from benchmarks.odometry_drives import drive
 from comparisons.checks.diagnosis.departure import departure_from
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
@@ -19,6 +18,7 @@ from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import solve
 from comparisons.report.run import RunReport
+from research.trust.odometry_drives import drive
 from tests.helpers import compared, present
 
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]

@@ -14,7 +14,7 @@ from comparisons.audit.algebra import faults_of
 from comparisons.audit.audit import audit
 from comparisons.errors import InputError
 from comparisons.trace.events import Event, Snapshot, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import Recorder
 from comparisons.trace.wrapping import record
 from tests.helpers import present
@@ -67,7 +67,11 @@ def faults(one: Event, other: Event) -> list[str]:
 
 
 def differences(one: Path, other: Path) -> list[str]:
-    return [fault for a, b in zip(Trace(one), Trace(other), strict=True) for fault in faults(a, b)]
+    return [
+        fault
+        for a, b in zip(TraceReader(one), TraceReader(other), strict=True)
+        for fault in faults(a, b)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +87,8 @@ def raw(build: Build, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_a_recording_without_sqlite_is_the_same(example: Path, raw: Path) -> None:
-    assert Trace(raw).sensors == Trace(example).sensors
-    assert Trace(raw).counts == Trace(example).counts
+    assert TraceReader(raw).sensors == TraceReader(example).sensors
+    assert TraceReader(raw).counts == TraceReader(example).counts
     assert differences(example, raw) == []
 
 
@@ -92,21 +96,21 @@ def test_a_recording_without_sqlite_is_the_same(example: Path, raw: Path) -> Non
 def test_a_recording_without_sqlite_is_read_to_its_last_batch(raw: Path, tmp_path: Path) -> None:
     """Cut off anywhere, or with any byte changed: whole batches, or a refusal in one line."""
     whole, short = raw.read_bytes(), tmp_path / "short.events"
-    assert Trace(raw).remarks == ()
+    assert TraceReader(raw).remarks == ()
     short.write_bytes(whole[:-1])
-    (said,) = Trace(short).remarks
+    (said,) = TraceReader(short).remarks
     assert said.startswith("short.events ends within a batch, as where its recording was killed")
     for length in range(0, len(whole), len(whole) // 97):
         short.write_bytes(whole[:length])
         with pytest.raises(InputError):
-            list(Trace(short))
+            list(TraceReader(short))
     draw, refused = random.Random(5), []  # noqa: S311
     for _ in range(300):
         damaged = bytearray(whole)
         damaged[draw.randrange(300)] = draw.randrange(256)
         short.write_bytes(damaged)
         try:
-            list(Trace(short))
+            list(TraceReader(short))
         except InputError as error:
             refused.append(str(error))
     assert len(refused) > 100
@@ -119,9 +123,9 @@ def test_the_example_is_a_sound_filter(example: Path) -> None:
     assert found.sound
     assert found.gains_compared > 50
     assert present(found.largest_gap).worst < 1e-9
-    assert Trace(example).sensors == {"beacon": (0.99, ("range", "bearing"))}
-    assert Trace(example).counts == (436, 75, 30)
-    events = list(Trace(example))
+    assert TraceReader(example).sensors == {"beacon": (0.99, ("range", "bearing"))}
+    assert TraceReader(example).counts == (436, 75, 30)
+    events = list(TraceReader(example))
     rejected = [event.time_s for event in events if isinstance(event, Update) and not event.used]
     assert rejected == pytest.approx([15.0])
     nees = [
@@ -148,9 +152,9 @@ def test_a_wrong_header_is_noticed(
     """Soon: by the algebra of the first events, or because they cannot be read."""
     program = build((CPP / "example.cpp").read_text(), old, new)
     works(program, tmp_path / "wrong.trace")
-    assert faults_of(list(Trace(example))[:20], 1e-9) == ()
+    assert faults_of(list(TraceReader(example))[:20], 1e-9) == ()
     try:
-        found = faults_of(list(Trace(tmp_path / "wrong.trace"))[:20], 1e-9)
+        found = faults_of(list(TraceReader(tmp_path / "wrong.trace"))[:20], 1e-9)
     except ValueError as error:
         found = (str(error),)
     assert found
@@ -281,11 +285,11 @@ def test_a_cpp_filter_is_recorded_without_a_change_in_it(
     here, other = tmp_path / "methods.trace", tmp_path / "members.events"
     works(build(WRAPPED), here, other)
     assert differences(here, wrapped) == []
-    assert Trace(here).sensors == {"square": (0.99, ())}
-    assert Trace(here).counts == Trace(other).counts == (52, 5, 26)
+    assert TraceReader(here).sensors == {"square": (0.99, ())}
+    assert TraceReader(here).counts == TraceReader(other).counts == (52, 5, 26)
     audited = audit(here)
     assert present(audited.largest_gap).worst < 1e-9
-    for one, of_members in zip(Trace(here), Trace(other), strict=True):
+    for one, of_members in zip(TraceReader(here), TraceReader(other), strict=True):
         assert of_members.time_s is None
         if isinstance(one, Snapshot):
             assert isinstance(of_members, Snapshot)
@@ -414,7 +418,7 @@ def test_cpp_checks_its_calls_and_records_every_kind(build: Build, tmp_path: Pat
     path = tmp_path / "run.trace"
     assert works(build(CALLS), path).replace(str(path), "") == SAID.lstrip("\n")
     assert [file.name for file in tmp_path.iterdir()] == ["run.trace"]
-    trace, star, sensor = Trace(path), "\u661f'\"/", 'g/"\\\n\u00e9'
+    trace, star, sensor = TraceReader(path), "\u661f'\"/", 'g/"\\\n\u00e9'
     assert list(trace.sensors.items()) == [(sensor, (None, ("x",)))]
     shown = [
         (
@@ -425,7 +429,7 @@ def test_cpp_checks_its_calls_and_records_every_kind(build: Build, tmp_path: Pat
     ]
     p, nothing = [[2.0, 0.5], [0.5, 1.0]], (None, None, None, 1.0)
     assert shown == [
-        ("Prior", None, ("a", star), (1, 1), p, None, ()),
+        ("TracePrior", None, ("a", star), (1, 1), p, None, ()),
         ("Directions", 1.5, ("a", star), [[1, 3], [2, 4]], ("turn", "shift"), ("gps",)),
         ("Augment", 1.5, "c", ("a",), [[3], [4]], [[1, 0], [0, 1]], p, *nothing, "additive"),
         ("Reset", 1.5, ("a",), [[7]]),
@@ -482,14 +486,14 @@ def test_a_killed_cpp_recording_is_valid_to_its_last_commit(for_ever: Path, tmp_
     path = tmp_path / "run.trace"
     job = subprocess.Popen((for_ever, path), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert present(job.stdout).readline() == b"half\n"
-    assert len(list(Trace(path))) == 4000, "while it is recorded"
+    assert len(list(TraceReader(path))) == 4000, "while it is recorded"
     job.kill()
     job.communicate()
     assert job.returncode == -signal.SIGKILL
-    assert [event.number for event in Trace(path)] == list(range(4000))
+    assert [event.number for event in TraceReader(path)] == list(range(4000))
     with Recorder(path, append=True) as record:
         record.predict(np.eye(2), np.eye(2))
-    assert Trace(path).counts.events == 4001
+    assert TraceReader(path).counts.events == 4001
 
 
 def test_a_full_disk_is_one_line(for_ever: Path, tmp_path: Path) -> None:
@@ -499,11 +503,11 @@ def test_a_full_disk_is_one_line(for_ever: Path, tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.startswith(f"{path}: cannot be written (")
     assert done.stderr.endswith("; the recording ends before event 2000\n")
-    assert Trace(path).counts.events == 2000
+    assert TraceReader(path).counts.events == 2000
 
 
 def test_a_child_of_a_fork_leaves_the_file_alone(for_ever: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
     said = "was opened by another process; after a fork only the parent records"
     assert works(for_ever, path, "fork") == f"{path}: {said}\n"
-    assert [type(event).__name__ for event in Trace(path)] == ["Prior", "Snapshot"]
+    assert [type(event).__name__ for event in TraceReader(path)] == ["TracePrior", "Snapshot"]

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.audit_faults import judge
 from comparisons.audit.audit import audit
-from comparisons.trace.events import Clone, Event, Prior, Snapshot, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.events import Clone, Event, Snapshot, TracePrior, Update
+from comparisons.trace.reader import TraceReader
 from examples.audit.faults import Fault, Planted
+from research.trust.audit_faults import judge
 from tests.helpers import present
 
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}
@@ -66,7 +66,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 def test_fewer_snapshots_are_of_the_same_run(recorded: Recorded, tmp_path: Path) -> None:
     recorded.record(tmp_path / "some", SEED, snapshots=5)
     every, some = (
-        [e for e in Trace(path) if isinstance(e, Snapshot)]
+        [e for e in TraceReader(path) if isinstance(e, Snapshot)]
         for path in (recorded.sound, tmp_path / "some")
     )
     assert len(some) == len(every) // 5
@@ -103,7 +103,7 @@ def test_the_audit_finds_five_faults(recorded: Recorded) -> None:
 def _first_difference(sound: Path, faulty: Path) -> int | None:
     """The first event that differs, or that a snapshot that differs is of."""
     number = 0
-    for one, other in zip(Trace(sound), Trace(faulty), strict=True):
+    for one, other in zip(TraceReader(sound), TraceReader(faulty), strict=True):
         if not isinstance(one, Snapshot):
             number = one.number
         if not _equal(one, other):
@@ -113,7 +113,7 @@ def _first_difference(sound: Path, faulty: Path) -> int | None:
 
 def _seen(path: Path, event: int) -> range:
     """Events that no snapshot separates from one: where its effect may be noticed first."""
-    after = (e.number for e in Trace(path) if isinstance(e, Snapshot) and e.number > event)
+    after = (e.number for e in TraceReader(path) if isinstance(e, Snapshot) and e.number > event)
     return range(event, next(after))
 
 
@@ -131,9 +131,9 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _names_what_is_there(planted: Planted, path: Path) -> None:
-    events = list(Trace(path))
+    events = list(TraceReader(path))
     event = events[planted.event]
     assert planted.sensor == (event.sensor if isinstance(event, Update) else None)
-    known = {name for one in events if isinstance(one, Prior) for name in one.blocks}
+    known = {name for one in events if isinstance(one, TracePrior) for name in one.blocks}
     known |= {one.name for one in events if isinstance(one, Clone)}
     assert set(planted.blocks) <= known

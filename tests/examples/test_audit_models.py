@@ -10,7 +10,7 @@ import pytest
 
 from comparisons.arrays import Array
 from comparisons.trace.events import Predict, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from examples.audit import gtsam_filters, msckf
 from examples.audit.navlie_groups import SE3
 from tests.examples.test_audit_filters import needs
@@ -106,7 +106,7 @@ def test_a_ukf_leaves_over_no_less_than_the_sensors_noise(tmp_path: Path) -> Non
 
     filterpy_ukf.record(tmp_path / "trace", 3)
     more = 0.0
-    for event in Trace(tmp_path / "trace"):
+    for event in TraceReader(tmp_path / "trace"):
         if isinstance(event, Predict):
             assert np.linalg.eigvalsh(event.noise - filterpy_ukf.Q)[0] > -1e-12
         elif isinstance(event, Update) and event.sensor == "speed":

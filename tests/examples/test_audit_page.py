@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from benchmarks.audit_faults import judge, sound
 from comparisons.audit.audit import audit
 from comparisons.report.audit import AuditReport
 from comparisons.report.terminal import print_summary
 from examples.audit import msckf
 from examples.audit.__main__ import FILTERS, main
+from research.trust.audit_faults import judge, sound
 from tests.examples.test_audit_filters import needs
 from tests.test_own_project import missing, steps
 

@@ -30,7 +30,7 @@ from comparisons.jobs.check import check
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckReport
-from comparisons.trace.events import Clone, Event, Prior, Remove, Reset, Snapshot, Update
+from comparisons.trace.events import Clone, Event, Remove, Reset, Snapshot, TracePrior, Update
 from comparisons.trace.recorder import Recorder
 from tests.helpers import compared, first_seconds, simulated
 
@@ -58,7 +58,7 @@ def write(events: Iterable[Event], path: Path) -> None:
 def replayed(events: list[Event], count: int) -> Replay:
     """What the first events lead to."""
     prior, *others = events[:count]
-    assert isinstance(prior, Prior)
+    assert isinstance(prior, TracePrior)
     replay = Replay(prior)
     for event in others:
         replay.apply(event)

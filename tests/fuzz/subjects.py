@@ -26,9 +26,9 @@ from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import FORMER
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
-from comparisons.experiments.montecarlo.runs import Records
+from comparisons.experiments.montecarlo.runs import RunRecords
 from comparisons.experiments.scenarios.scenario import read_scenario
-from comparisons.experiments.scenarios.world import World, build_world
+from comparisons.experiments.scenarios.world import ScenarioWorld, build_world
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.readers import read_log
@@ -214,7 +214,7 @@ def read_toml(folder: Path) -> None:
     configure(RunConfig, folder / "run.toml", flags, over={"log": {"source": "simulated-loop"}})
 
 
-def build_scenario(folder: Path) -> World:
+def build_scenario(folder: Path) -> ScenarioWorld:
     place = str(folder / "small.toml")
     return build_world(read_scenario(place), place)
 
@@ -226,8 +226,8 @@ def chunk_files(folder: Path) -> ChunkFiles:
 
 def chunk_file(folder: Path) -> None:
     """Packed, unlike those that a study writes, so that the unpacking is damaged as well."""
-    records = np.random.default_rng(0).normal(size=(len(Records._fields), 25, 4))
-    chunk_files(folder).write("ekf", 0, Records(*records))
+    records = np.random.default_rng(0).normal(size=(len(RunRecords._fields), 25, 4))
+    chunk_files(folder).write("ekf", 0, RunRecords(*records))
     path = chunk_files(folder).path("ekf", 0)
     with np.load(path) as kept:
         arrays = dict(kept)

@@ -17,7 +17,7 @@ import scipy.io
 from comparisons import archive
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles, check_folder
-from comparisons.experiments.montecarlo.runs import Records
+from comparisons.experiments.montecarlo.runs import RunRecords
 from comparisons.logs.table import parse_toml
 from comparisons.trace.recorder import Recorder
 from tests.commands import refused
@@ -234,7 +234,7 @@ def test_a_chunk_that_cannot_be_replaced_is_told_before_the_work(kind: str, tmp_
 
 def test_a_chunk_of_another_size_is_of_another_study(tmp_path: Path) -> None:
     other = ChunkFiles(tmp_path, "another", 500)
-    other.write("ekf", 0, Records(*np.zeros((len(Records._fields), 25, 500))))
+    other.write("ekf", 0, RunRecords(*np.zeros((len(RunRecords._fields), 25, 500))))
     with pytest.raises(InputError, match="another scenario"):
         chunk_files(tmp_path).read("ekf", 0)
 
@@ -347,7 +347,6 @@ def dangling(folder: Path) -> None:
 
 
 BEYOND = {
-    "drives": (["reproduce", "N3.5", "--drives", "9" * 30], "expected 1 to 10000"),
     "reach": (
         ["map", "scan-loop", "--set", "extensions.dense_maps.reach_m=1e300"],
         "less than or equal to 10000",
@@ -363,7 +362,7 @@ BEYOND = {
             [*command, "--workers", workers],
             f"slamcheck: --workers is {workers}, expected 1 to 1000",
         )
-        for command in (["montecarlo"], ["reproduce", "N3.5"])
+        for command in (["montecarlo"],)
         for workers in ("0", "-1", "1001", "9223372036854775808")
     },
     **{

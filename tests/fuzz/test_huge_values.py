@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 import slamcheck
 from comparisons import errors
-from comparisons.config import JOBS, JobConfig, Section, config_class
+from comparisons.config import JOBS, JobConfig, SettingsGroup, config_class
 from comparisons.errors import InputError, note, one_line, quoted, shorten
 from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.log_folder import write_log_folder
@@ -56,7 +56,7 @@ def settings_of(kind: type[BaseModel], section: str = "") -> Iterator[str]:
                 yield from settings_of(part, f"{section}{name}.")
 
 
-def every_setting(job: type[Section]) -> list[str]:
+def every_setting(job: type[SettingsGroup]) -> list[str]:
     names = list(settings_of(job))
     for extension in EXTENSIONS if "extensions" in job.model_fields else ():
         names += settings_of(config_class(extension), f"extensions.{extension}.")
@@ -132,7 +132,6 @@ def test_an_argument_of_another_command(tmp_path: Path) -> None:
             ["convert", text, text],
             ["montecarlo", text, "--runs", text],
             ["montecarlo", "--command", text],
-            ["reproduce", text],
             ["config", text],
             [text],
         ):

@@ -5,7 +5,7 @@ import numpy as np
 from graphslam.increments import (
     AckermannGeometry,
     Integration,
-    Samples,
+    MotionSamples,
     Stabilisation,
     ackermann_samples,
     unicycle_samples,
@@ -21,7 +21,7 @@ def controls(n: int, seed: int) -> tuple[Array, Array, Array]:
     return rng.uniform(0.5, 3, n), rng.uniform(-0.5, 0.5, n), rng.uniform(0.01, 0.1, n)
 
 
-def samples(kind: str, u: Array, w: Array, dt: Array, *integration: Integration) -> Samples:
+def samples(kind: str, u: Array, w: Array, dt: Array, *integration: Integration) -> MotionSamples:
     if kind == "ackermann":
         geometry = AckermannGeometry(*GEOMETRY)
         return ackermann_samples(u, w, dt, (0.2, 0.05), STABILISATION, geometry, *integration)

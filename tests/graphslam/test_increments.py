@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from graphslam.graph_builder import to_tangent
-from graphslam.increments import Samples, compose
+from graphslam.increments import MotionSamples, compose
 from tests.graphslam.motions import GEOMETRY, controls, samples
 from tests.graphslam.numerics import Array, central_difference, exponential, product, relative_error
 
@@ -71,7 +71,7 @@ def test_composition_transports_perturbations_exactly() -> None:
     rng = np.random.default_rng(0)
     moves = rng.uniform(-1, 1, (5, 3))
     covariances = np.array([np.diag(rng.uniform(0.1, 1, 3)) for _ in moves])
-    whole = compose(Samples(moves, covariances), np.zeros(5, dtype=np.intp), 1)
+    whole = compose(MotionSamples(moves, covariances), np.zeros(5, dtype=np.intp), 1)
 
     def perturbed(xi: Array) -> Array:
         """Right perturbation of the end when every sample's arrival is perturbed."""
@@ -96,7 +96,7 @@ def test_intervals_are_composed_apart_and_may_be_empty() -> None:
     parts = compose(every, np.array((0, 0, 2, 2, 2, 3)), 4)
     for interval, rows in ((0, slice(0, 2)), (2, slice(2, 5)), (3, slice(5, 6))):
         alone = compose(
-            Samples(every.displacement[rows], every.covariance[rows]),
+            MotionSamples(every.displacement[rows], every.covariance[rows]),
             np.zeros(rows.stop - rows.start, dtype=np.intp),
             1,
         )

@@ -11,7 +11,7 @@ from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import solve
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
-from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, SmootherOptions, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, Index, angle, central_difference, relative_error
 from tests.graphslam.worlds import World
@@ -63,13 +63,13 @@ def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Arr
     return solve(model_system(problem, points), poses, places)
 
 
-def headings(result: SmootherResult) -> Index:
+def headings(result: SmootherEvidence) -> Index:
     """Where headings are in the marginal's mean."""
     first = 3 + result.landmarks.size
     return np.concatenate(([2], np.arange(first + 2, first + result.pose_landmarks().size, 3)))
 
 
-def gap(result: SmootherResult, other: Marginal) -> tuple[float, float]:
+def gap(result: SmootherEvidence, other: Marginal) -> tuple[float, float]:
     """Largest difference from the smoother: of means in sigmas, of covariances in their product."""
     mean, covariance = result.marginal()
     sigma, at = np.sqrt(covariance.diagonal()), headings(result)

@@ -31,7 +31,7 @@ from graphslam.sampling import (
     sample_posterior,
     trajectory,
 )
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, smooth
 from tests.graphslam.worlds import loop
 
 FEW = SamplingOptions(draws=20, warm_up=60)
@@ -129,7 +129,7 @@ def far_bearing(**changes: float) -> SlamProblem:
     )
 
 
-def solved(problem: SlamProblem) -> SmootherResult:
+def solved(problem: SlamProblem) -> SmootherEvidence:
     return smooth(problem, {})
 
 

@@ -26,7 +26,7 @@ from ekf_reference.core.landmark_types import POINT
 if TYPE_CHECKING:
     from comparisons.estimates.external import ExternalEstimate
     from comparisons.estimates.reference import Reference
-    from comparisons.pipeline.known import Given, Known
+    from comparisons.pipeline.known import EstimateUnderCheck, Known
 
 _SURER = 0.05
 """Of the epochs: so many with a filter more certain than the smoother make it inconsistent."""
@@ -157,7 +157,7 @@ class ExternalConsistency(Consistency):
     unjudged: str
 
 
-def external_consistency(known: Known, judged: Given) -> ExternalConsistency:
+def external_consistency(known: Known, judged: EstimateUnderCheck) -> ExternalConsistency:
     """Everything the log and an estimate that is judged allow."""
     labelled, robust = known.prepared.labelled, known.result.options.robust
     given, optimum, log = judged.inside, judged.optimum, known.prepared.log

@@ -8,7 +8,7 @@ import numpy as np
 
 from comparisons.adapters.alignment import PlaneMotion, first_reckoned_s, reckoned_at
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.diagnosis import Moved
+from comparisons.checks.diagnosis.diagnosis import PathTransform
 from comparisons.checks.diagnosis.estimate_facts import undone
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
@@ -35,6 +35,6 @@ def laid_at_start(given: ExternalEstimate, time_s: Array, log: Log) -> tuple[Ext
     motion = PlaneMotion.between(given.pose[row], onto)
     by = np.exp(-1j * motion.turn_rad)
     shift = -by * complex(*motion.shift_m.tolist())
-    moved = undone(given, Moved(a=by, b=shift), given.time_s)
+    moved = undone(given, PathTransform(a=by, b=shift), given.time_s)
     said = f"aligned: the estimate was {motion}, so that its first pose is the odometry's"
     return replace(moved, time_s=given.time_s, time_ns=given.time_ns), said

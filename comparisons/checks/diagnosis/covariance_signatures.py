@@ -16,14 +16,14 @@ _FITS = 1.0 + LIKE_VARIANCE
 _MOST_EXCEPTIONS = 0.02
 
 
-class Fit(NamedTuple):
+class CovarianceFit(NamedTuple):
     """factor: of the covariances, 1 where it is near. exceptions: (N,) those that do not fit."""
 
     factor: float
     exceptions: NDArray[np.bool_]
 
 
-def fit(given: Array, expected: Array, *, scaled: bool = True) -> Fit | None:
+def fit(given: Array, expected: Array, *, scaled: bool = True) -> CovarianceFit | None:
     """Fit covariances (N, n, n) by one factor in all directions; None where they do not fit.
 
     One in fifty may be an exception. scaled: another factor than one may be.
@@ -36,7 +36,7 @@ def fit(given: Array, expected: Array, *, scaled: bool = True) -> Fit | None:
     factor = 1.0 if abs(factor - 1.0) <= LIKE_VARIANCE else factor
     bad = (low * _FITS < factor) | (high > factor * _FITS)
     most = max(1.0, _MOST_EXCEPTIONS * len(bad)) if len(bad) > 1 else 0.0
-    return Fit(factor, bad) if bad.sum() <= most else None
+    return CovarianceFit(factor, bad) if bad.sum() <= most else None
 
 
 def _middle(low: Array, high: Array) -> Array:
@@ -56,7 +56,7 @@ def invalid(given: Array) -> str:
     return _of(bad, "positive definite") if bad.any() else ""
 
 
-class Poses(NamedTuple):
+class PoseCovariances(NamedTuple):
     """Covariances (N, 3, 3) that poses should have, and what they might have been taken from.
 
     time_s, heading: (N,). before: before each instant's measurements. smoothed: (N, 3, 3) of the
@@ -70,7 +70,7 @@ class Poses(NamedTuple):
     smoothed: Array
 
 
-def of_poses(given: Array, poses: Poses, name: str) -> str:
+def of_poses(given: Array, poses: PoseCovariances, name: str) -> str:
     """Say how pose covariances (N, 3, 3) differ from those of an estimate of this name."""
     if wrong := invalid(given):
         return f"your pose covariances are invalid: {wrong}"
@@ -157,7 +157,7 @@ def times(factor: float) -> str:
     return f"{factor:.1f}" if 1.0 <= factor < 1000.0 else f"{factor:.2g}"
 
 
-def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
+def _pose_candidates(poses: PoseCovariances) -> Iterator[tuple[str, Array, bool]]:
     """Names, covariances, and whether a factor may be added."""
     e = poses.expected
     yield "", e, True
@@ -227,7 +227,7 @@ def _are(words: str, factor: float, name: str) -> str:
     return f"are {words}, and {times(factor)} times those of {name}"
 
 
-def _but(found: Fit) -> str:
+def _but(found: CovarianceFit) -> str:
     """Which ones do not fit."""
     count = int(found.exceptions.sum())
     if not count:

@@ -115,22 +115,28 @@ class Paths:
         return float(each.mean()) / 2.0
 
     def motion(
-        self, gap: str, free: int, left: Complex, said: str, hint: str, moved: Moved | None = None
-    ) -> Motion:
+        self,
+        gap: str,
+        free: int,
+        left: Complex,
+        said: str,
+        hint: str,
+        moved: PathTransform | None = None,
+    ) -> PathMotion:
         """Return a motion that leaves so much (K,), NaN beyond the ends. said: where it leads."""
         error = np.column_stack((left.real, left.imag))
-        return Motion(
+        return PathMotion(
             gap=gap,
             free=free,
             square=self.square(error),
             left_m=rms(error[np.isfinite(error).all(axis=1)]),
             place=said,
             hint=hint,
-            moved=moved or Moved(),
+            moved=moved or PathTransform(),
         )
 
 
-class Moved(NamedTuple):
+class PathTransform(NamedTuple):
     """How a path u = a (v + arm exp(i h)) + b came about, delay_s late, h the headings of v.
 
     yaw_rad: by which the frame at the end of the arm is turned.
@@ -149,7 +155,7 @@ class Moved(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class PathMotion:
     """A motion fitted to a path. free: its parameters. square, left_m: what is left of it.
 
     place: where the trajectory is then, in words; empty where it is only late.
@@ -161,7 +167,7 @@ class Motion:
     left_m: float
     place: str
     hint: str
-    moved: Moved
+    moved: PathTransform
 
     @property
     def said(self) -> str:
@@ -208,12 +214,12 @@ def diagnose(references: Sequence[Paths]) -> Diagnosis:
     return diagnosis
 
 
-def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, Motion]:
+def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, PathMotion]:
     """Return the simplest motion of a path, beside the reference that it fits best.
 
     references: as of `diagnose`. Its gap is empty where no motion is simplest.
     """
-    found: list[tuple[Paths, list[Motion]]] = [(one, list(_motions(one))) for one in references]
+    found: list[tuple[Paths, list[PathMotion]]] = [(one, list(_motions(one))) for one in references]
     paths, motions = min(found, key=lambda pair: min(m.square for m in pair[1]))
     motion = _simplest(motions) if paths.rms_m > _NO_MATTER_M else motions[0]
     if motion.gap in ("", "frame", "time"):
@@ -223,7 +229,7 @@ def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, Motion]:
     return paths, motion
 
 
-def frame_at_start(paths: Paths, found: Motion) -> Motion:
+def frame_at_start(paths: Paths, found: PathMotion) -> PathMotion:
     """Return the frame in which a path starts where the reference does, whatever follows.
 
     found: the frame, or the vehicle's, that fits all of the path.
@@ -231,10 +237,10 @@ def frame_at_start(paths: Paths, found: Motion) -> Motion:
     arm, yaw = found.moved.arm, found.moved.yaw_rad
     a = complex(np.exp(1j * (paths.pose[0, 2] - paths.reference[0, 2] - yaw)))
     start = complex(paths.v[0] + arm * np.exp(1j * paths.reference[0, 2]))
-    return _of_frame(paths, Moved(a, complex(paths.u[0] - a * start), arm=arm, yaw_rad=yaw))
+    return _of_frame(paths, PathTransform(a, complex(paths.u[0] - a * start), arm=arm, yaw_rad=yaw))
 
 
-def _of_frame(paths: Paths, moved: Moved) -> Motion:
+def _of_frame(paths: Paths, moved: PathTransform) -> PathMotion:
     """A motion into another frame of the map, and of the vehicle where there is a yaw."""
     left = paths.u - moved.a * (paths.v + moved.arm * np.exp(1j * paths.reference[:, 2])) - moved.b
     said = _rotated_and_shifted(moved.a, moved.b)
@@ -252,7 +258,7 @@ def _complex(points: Array) -> Complex:
     return found
 
 
-def _simplest(motions: Sequence[Motion]) -> Motion:
+def _simplest(motions: Sequence[PathMotion]) -> PathMotion:
     """The one with the fewest parameters that none with more fits better (F test).
 
     What all of them leave adds to both: the covariance, unless one fits as only a path of the
@@ -261,7 +267,7 @@ def _simplest(motions: Sequence[Motion]) -> Motion:
     best = min(one.square for one in motions)
     open_square = _LIKE if best <= _EQUAL else 1.0
 
-    def better(more: Motion, one: Motion) -> bool:
+    def better(more: PathMotion, one: PathMotion) -> bool:
         added, left = more.free - one.free, _INDEPENDENT - more.free
         limit = 1.0 + added * f_quantile(_SURE, added, left) / left
         return one.square + open_square > limit * (more.square + open_square)
@@ -274,7 +280,7 @@ def _simplest(motions: Sequence[Motion]) -> Motion:
     )
 
 
-def _within(motions: Sequence[Motion], found: Motion) -> Motion:
+def _within(motions: Sequence[PathMotion], found: PathMotion) -> PathMotion:
     """Return what explains most by no frame at all, if it leaves less than what was found.
 
     For that was found as if all that the covariance allows were open, and only a frame is.
@@ -287,7 +293,7 @@ def _within(motions: Sequence[Motion], found: Motion) -> Motion:
     return found
 
 
-def _motions(paths: Paths) -> Iterator[Motion]:
+def _motions(paths: Paths) -> Iterator[PathMotion]:
     """All that are known, fitted, each in least squares."""
     u, v, motion = paths.u, paths.v, paths.motion
     yield motion("", 0, u - v, "", "")
@@ -297,7 +303,7 @@ def _motions(paths: Paths) -> Iterator[Motion]:
         if not a or ("times" in said and not grown):
             continue  # a path without extent has no scale; or of a scale that is none
         gap, hint = ("scale", _SCALE_HINT) if grown else ("frame", _FRAME_HINT)
-        yield motion(gap, free, (u - a * v - b) / abs(a), said, hint, Moved(a, b))
+        yield motion(gap, free, (u - a * v - b) / abs(a), said, hint, PathTransform(a, b))
     for said, flipped in (
         ("y has the opposite sign", v.conj()),
         ("x has the opposite sign", -v.conj()),
@@ -313,7 +319,7 @@ def _motions(paths: Paths) -> Iterator[Motion]:
         for free, delay, left, (a, b, said) in late:
             if abs(delay) < _LEAST_DELAY_S:
                 continue
-            yield motion("time", 1 + free, left, said, _TIME_HINT, Moved(a, b, delay))
+            yield motion("time", 1 + free, left, said, _TIME_HINT, PathTransform(a, b, delay))
     if known and moved >= _INTERPOLATED * as_is:
         ahead = np.exp(1j * paths.reference[:, 2])
         arm = complex(np.mean((u - v) / ahead))
@@ -324,7 +330,7 @@ def _motions(paths: Paths) -> Iterator[Motion]:
         yield motion("lever", 2, u - v - arm * ahead, said, _LEVER_HINT)
 
 
-def _on_vehicle(paths: Paths) -> Motion | None:
+def _on_vehicle(paths: Paths) -> PathMotion | None:
     """Fit another frame of the vehicle, in another frame of the map.
 
     None where the headings tell of none.
@@ -340,7 +346,7 @@ def _on_vehicle(paths: Paths) -> Motion | None:
     yaw = float(np.angle(np.mean(np.exp(1j * yaws))))
     if abs(yaw) < _LEAST_HEADING_RAD or _spread(yaws) > _PARTLY * abs(yaw):
         return None
-    return _of_frame(paths, Moved(a, complex(b), arm=complex(arm), yaw_rad=yaw))
+    return _of_frame(paths, PathTransform(a, complex(b), arm=complex(arm), yaw_rad=yaw))
 
 
 def _heading_spreads(paths: Paths, delay: float) -> tuple[float, float]:
@@ -447,7 +453,7 @@ def _as_is(u: Complex, v: Complex) -> tuple[complex, complex, str]:
     return 1.0 + 0.0j, 0.0j, ""
 
 
-def _headings(paths: Paths, motion: Motion) -> Iterator[tuple[bool, Cause]]:
+def _headings(paths: Paths, motion: PathMotion) -> Iterator[tuple[bool, Cause]]:
     """Headings that are off by much the same everywhere, or counted the other way.
 
     With each whether it explains all of the difference.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import at_others
 from comparisons.checks.diagnosis import covariance_signatures as signatures
-from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose
+from comparisons.checks.diagnosis.diagnosis import Diagnosis, Paths, PathTransform, diagnose
 from comparisons.checks.grade import (
     LIKE_SIGMA,
     LIKE_VARIANCE,
@@ -111,7 +111,7 @@ def paths_beside(given: ExternalEstimate, reference: Reference, smoothed: Array)
     ]
 
 
-def undone(given: ExternalEstimate, moved: Moved, instants_s: Array) -> ExternalEstimate:
+def undone(given: ExternalEstimate, moved: PathTransform, instants_s: Array) -> ExternalEstimate:
     """Return an estimate as it was before a motion of its frame, scale or clock.
 
     A clock that was late by the same everywhere leads back to instants (J,) of the log. Landmarks
@@ -243,7 +243,7 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
     if "poses" in off:
         smoothed = clues.smoothed[1][at]
         before = reference.pose_covariance[at] if clues.before is None else clues.before[1][at]
-        poses = signatures.Poses(
+        poses = signatures.PoseCovariances(
             pairs["poses"][1], given.time_s[at], given.pose[at, 2], before, smoothed
         )
         said.append(signatures.of_poses(pairs["poses"][0], poses, name))

@@ -39,7 +39,7 @@ from graphslam.increments import dead_reckoned
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import ChiSquareTest
 from graphslam.search import relaxed_values
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 
 _MOST_MEASUREMENTS = 600
 """Of the part that is solved first."""
@@ -136,7 +136,7 @@ def examine(log: Log) -> Examination:
     return Examination(tested.test, [], departure=departure, part=scope)
 
 
-def examine_run(log: Log, run: EkfRun, result: SmootherResult, solved: SolvedLog) -> list[LogFit]:
+def examine_run(log: Log, run: EkfRun, result: SmootherEvidence, solved: SolvedLog) -> list[LogFit]:
     """Return what makes a log fit as a run used it, the likeliest first.
 
     log: as the estimators read it, with labels; else nothing. result: the smoother's, whose

@@ -28,7 +28,7 @@ from graphslam.graph_builder import build_graph, to_values
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import ChiSquareTest
 from graphslam.search import relaxed_values
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 
 LEVEL = 1e-6
 """Of the F test of all numbers together."""
@@ -110,7 +110,7 @@ def _of_sensor(
         yield _Number(offset, lambda g, b: change(g, (1.0, b)), 0.0, step)
 
 
-def solve_by_run(run: EkfRun, result: SmootherResult) -> Solve:
+def solve_by_run(run: EkfRun, result: SmootherEvidence) -> Solve:
     """Return the solution, by a run's association, of a log that is changed."""
     poses = Poses(run.timeline.epoch_time_s, result.poses)
 

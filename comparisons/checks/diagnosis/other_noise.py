@@ -8,7 +8,7 @@ from typing import NamedTuple
 from comparisons.statistics import WORDS
 from graphslam.goodness_of_fit import Goodness, rescaled
 from graphslam.optimum import ChiSquareTest
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 from graphslam.variance_components import Component, components_of
 
 _TOLD = 1.5
@@ -30,7 +30,7 @@ class OtherNoise(NamedTuple):
         return NAMES.get(self.component.name, self.component.name)
 
 
-def other_noises(result: SmootherResult, components: Sequence[Component]) -> list[OtherNoise]:
+def other_noises(result: SmootherEvidence, components: Sequence[Component]) -> list[OtherNoise]:
     """Return those sensors that explain the residuals alone, by a noise of another size.
 
     With it the whole lies in its band, that sensor's residuals have about one per degree of

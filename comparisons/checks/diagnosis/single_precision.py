@@ -17,7 +17,7 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
-from comparisons.checks.diagnosis.trace_recursion import BATCHES, Replay, replay
+from comparisons.checks.diagnosis.trace_recursion import BATCHES, LinearReplay, replay
 from comparisons.estimates.stored_precision import SINGLE, restored
 from comparisons.plane import pose_difference
 from ekf_reference.core.landmark_types import POINT
@@ -142,7 +142,7 @@ def computed_in_single(run: EkfRun, algebra: Gap, sigma: Array) -> str:
     )
 
 
-def _grown(run: EkfRun, exact: Replay) -> tuple[float, float]:
+def _grown(run: EkfRun, exact: LinearReplay) -> tuple[float, float]:
     """The pose's gap, of mean in sigma or covariance, early and late."""
     sigma = np.sqrt(exact.covariance[:, (0, 1, 2), (0, 1, 2)])
     size = np.abs(pose_difference(run.departed, exact.pose) / sigma).max(axis=1)

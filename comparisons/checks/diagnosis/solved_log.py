@@ -13,7 +13,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import SURVEYED
-from graphslam.goodness_of_fit import Goodness, Part
+from graphslam.goodness_of_fit import Goodness, ResidualGroup
 
 _SENSORS = {
     "odometry": "the odometry",
@@ -49,7 +49,7 @@ class SolvedLog(NamedTuple):
         part = self.goodness.departure
         return "" if part is None else f"the residuals depart {self._words(part)}"
 
-    def _words(self, part: Part) -> str:
+    def _words(self, part: ResidualGroup) -> str:
         first_s, last_s = (f"{self.time_s[pose]:.9g} s" for pose in (part.first, part.last))
         where, size = self._sensor(part), f"{part.value:.3g} sigma"
         span = f"from {first_s} to {last_s}"
@@ -64,7 +64,7 @@ class SolvedLog(NamedTuple):
             return f"at {first_s}, in {where} ({of} to {last_s})"
         return f"in {where} {span} ({of})"
 
-    def _sensor(self, part: Part) -> str:
+    def _sensor(self, part: ResidualGroup) -> str:
         sensor = _SENSORS[part.component]
         if part.landmark < 0:
             return sensor

@@ -22,7 +22,7 @@ BATCHES: tuple[Callable[[TraceArrays], MeasurementRecords], ...] = (
 
 
 @dataclass(frozen=True)
-class Replay:
+class LinearReplay:
     """A trace's linear equations, filtered again.
 
     pose: (K, 3) at each epoch, with covariance (K, 3, 3). last: the joint one at the end.
@@ -33,7 +33,7 @@ class Replay:
     last: Gaussian
 
 
-def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Replay:
+def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> LinearReplay:
     """Filter the recorded equations in a precision. until: (K,) steps made at each epoch."""
     recursion = TraceRecursion(trace, landmarks, dtype)
     poses, spreads = [], []
@@ -42,7 +42,9 @@ def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Rep
         poses.append(recursion.mean[:3].astype(np.float64))
         spreads.append(recursion.covariance[:3, :3].astype(np.float64))
     mean, covariance = (part.astype(np.float64) for part in (recursion.mean, recursion.covariance))
-    return Replay(np.array(poses), np.array(spreads), Gaussian(mean, covariance, recursion.layout))
+    return LinearReplay(
+        np.array(poses), np.array(spreads), Gaussian(mean, covariance, recursion.layout)
+    )
 
 
 def turned_as_corrected(trace: TraceArrays, landmarks: int) -> tuple[TraceArrays, Array]:

@@ -12,7 +12,7 @@ from comparisons.archive import read_entries
 from comparisons.atomic import OWN, check_above, free_beside, is_unfinished, write_whole
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.config import is_config
-from comparisons.experiments.montecarlo.runs import Records
+from comparisons.experiments.montecarlo.runs import RunRecords
 from comparisons.logs.table import read_toml
 
 CHUNK = 25
@@ -24,7 +24,7 @@ LOGS = "logs"
 """Folder of runs' logs that are kept, by seed, and of what failed filters said."""
 _REPORTS = frozenset({CONFIG, "montecarlo.json", "curves.png", "report.html", "runs.csv"})
 _SHA256 = "sha256"
-_ENTRIES = (_SHA256, *Records._fields)
+_ENTRIES = (_SHA256, *RunRecords._fields)
 _MOST_BYTES = 2**24
 """Of a chunk: at most 500 steps are recorded, whichever the study, in less than a megabyte."""
 _NAME = re.compile(r"[a-z][a-z0-9_-]*-\d{6}\.npz")
@@ -78,7 +78,7 @@ class ChunkFiles:
         """Where a filter's chunk is kept."""
         return self._folder / f"{name}-{chunk:06d}.npz"
 
-    def read(self, name: str, chunk: int) -> Records | None:
+    def read(self, name: str, chunk: int) -> RunRecords | None:
         """A finished chunk; None where there is none, or a damaged one.
 
         Raises InputError where the file is whole but of another study.
@@ -86,7 +86,7 @@ class ChunkFiles:
         try:
             found = read_entries(self.path(name, chunk), _ENTRIES, (_SHA256,), _MOST_BYTES)
             sha256 = str(found.pop(_SHA256))
-            records = Records(**found)
+            records = RunRecords(**found)
         except (InputError, KeyError, TypeError, ValueError):  # an entry is missing or no text
             return None
         if sha256 != self._sha256:
@@ -101,7 +101,7 @@ class ChunkFiles:
             return None
         return records
 
-    def write(self, name: str, chunk: int, records: Records) -> None:
+    def write(self, name: str, chunk: int, records: RunRecords) -> None:
         """Keep a chunk; the file appears whole or not at all."""
 
         def save(part: Path) -> None:

@@ -7,14 +7,14 @@ from typing import Literal, get_args
 
 from pydantic import Field, field_validator
 
-from comparisons.config import Section
+from comparisons.config import SettingsGroup
 from comparisons.logs.table import read_toml
 
 FilterName = Literal["ekf", "fej", "oc", "riekf", "ideal"]
 FILTER_NAMES: tuple[str, ...] = get_args(FilterName)
 
 
-class MonteCarloConfig(Section):
+class MonteCarloConfig(SettingsGroup):
     """`slamcheck montecarlo`: variants of the EKF, many times in simulation.
 
     Neither the workers nor a scheduler are here, for they change no result.

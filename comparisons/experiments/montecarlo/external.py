@@ -25,8 +25,8 @@ from comparisons.errors import InputError, printable, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.experiments.montecarlo.config import FILTER_NAMES
-from comparisons.experiments.montecarlo.runs import Records, planar_nees, recorded_steps
-from comparisons.experiments.scenarios.world import World, log_of_run
+from comparisons.experiments.montecarlo.runs import RunRecords, planar_nees, recorded_steps
+from comparisons.experiments.scenarios.world import ScenarioWorld, log_of_run
 from comparisons.figures import Aside
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
@@ -69,7 +69,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Command:
+class ExternalProgram:
     """A program that reads a log folder and writes an estimate folder.
 
     words: with {log} and {out} among them, which stand for the two folders. No shell reads them.
@@ -79,7 +79,7 @@ class Command:
     timeout_s: float = TIMEOUT_S
 
     @classmethod
-    def parse(cls, text: str, timeout_s: float = TIMEOUT_S) -> Command:
+    def parse(cls, text: str, timeout_s: float = TIMEOUT_S) -> ExternalProgram:
         """Split as a shell does. Raises InputError."""
         try:
             words = tuple(shlex.split(text))
@@ -179,20 +179,22 @@ def _tail(file: IO[bytes]) -> str:
     return file.read().decode("utf-8", errors="replace")
 
 
-def parse_commands(texts: Iterable[str], timeout_s: float = TIMEOUT_S) -> dict[str, Command]:
+def parse_commands(
+    texts: Iterable[str], timeout_s: float = TIMEOUT_S
+) -> dict[str, ExternalProgram]:
     """Commands by name, each as NAME=COMMAND, or COMMAND alone, which is called mine.
 
     Raises InputError.
     """
     if not 0.0 < timeout_s < np.inf:
         raise InputError(f"--timeout is {timeout_s:g}, expected seconds above 0")
-    found: dict[str, Command] = {}
+    found: dict[str, ExternalProgram] = {}
     for text in texts:
         named = _NAMED.fullmatch(text.strip())
         name, command = named.groups() if named else ("mine", text)
         if name in found:
             raise InputError(f"--command: two are called {name}; give NAME=COMMAND")
-        found[name] = Command.parse(command, timeout_s)
+        found[name] = ExternalProgram.parse(command, timeout_s)
     check_names(found)
     return found
 
@@ -207,7 +209,9 @@ def check_names(names: Iterable[str]) -> None:
             )
 
 
-def run_external(estimator: Estimator, world: World, run: int, name: str) -> Records | Failure:
+def run_external(
+    estimator: Estimator, world: ScenarioWorld, run: int, name: str
+) -> RunRecords | Failure:
     """Return one run's records (1, T), or why there are none. name: of the log."""
     try:
         found = estimator(log_of_run(world, run, name))
@@ -226,7 +230,7 @@ def run_external(estimator: Estimator, world: World, run: int, name: str) -> Rec
         return Failure(run, reported, traceback.format_exc()[-_TAIL_BYTES:])
 
 
-def errors_of(given: ExternalEstimate, world: World) -> Records:
+def errors_of(given: ExternalEstimate, world: ScenarioWorld) -> RunRecords:
     """Records (1, T) of one estimate, NaN at recorded steps without a pose.
 
     Of landmarks there is the final map alone, at the last step. Raises EstimatorError.
@@ -239,7 +243,7 @@ def errors_of(given: ExternalEstimate, world: World) -> Records:
     at = row[steps]
     error = world.pose[steps] - given.pose[at]
     error[:, 2] = wrap_angle(error[:, 2])
-    records = Records(*(np.full((1, len(recorded)), np.nan) for _ in Records._fields))
+    records = RunRecords(*(np.full((1, len(recorded)), np.nan) for _ in RunRecords._fields))
     records.position_square[0, columns] = (error[:, :2] ** 2).sum(axis=1)
     records.heading_square[0, columns] = error[:, 2] ** 2
     if given.pose_covariance is not None:
@@ -263,7 +267,7 @@ def errors_of(given: ExternalEstimate, world: World) -> Records:
     return records
 
 
-def _rows(time_s: Array, world: World) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+def _rows(time_s: Array, world: ScenarioWorld) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """(K + 1,) row of the estimate at each step's instant, -1 for none. Raises EstimatorError."""
     instants = world.robot.step_s * np.arange(len(world.control) + 1)
     row = np.clip(np.searchsorted(time_s, instants), 1, max(len(time_s) - 1, 1))

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 
 from comparisons.atomic import OWN, write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
-from comparisons.experiments.montecarlo.external import Command
+from comparisons.experiments.montecarlo.external import ExternalProgram
 from comparisons.experiments.montecarlo.page import again_with, study_page
 from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
@@ -21,7 +21,7 @@ from comparisons.experiments.montecarlo.statistics import (
     FilterFigures,
     per_run,
 )
-from comparisons.experiments.montecarlo.study import Outcome
+from comparisons.experiments.montecarlo.study import StudyOutcome
 from comparisons.experiments.montecarlo.verdict import study_verdict
 from comparisons.report.picture import save
 from comparisons.report.terminal import Summary
@@ -34,7 +34,7 @@ _MOST_FILTERS = 8
 
 
 def write_montecarlo(
-    outcome: Outcome, folder: Path, commands: Mapping[str, Command] | None = None
+    outcome: StudyOutcome, folder: Path, commands: Mapping[str, ExternalProgram] | None = None
 ) -> None:
     """Write the settings, the figures, those of each run, page and picture, each whole.
 
@@ -42,7 +42,7 @@ def write_montecarlo(
     is read runs no command.
     """
     again = again_with(folder, commands) if commands else None
-    result = TypeAdapter(Outcome).dump_json(outcome, indent=2)
+    result = TypeAdapter(StudyOutcome).dump_json(outcome, indent=2)
     texts = {
         CONFIG: outcome.study.config.toml(),
         RESULT: result.decode() + "\n",
@@ -54,7 +54,7 @@ def write_montecarlo(
     write_whole(folder / "curves.png", lambda part: save(curves_figure(outcome), part), OWN)
 
 
-def _run_rows(outcome: Outcome) -> str:
+def _run_rows(outcome: StudyOutcome) -> str:
     """A line per run and filter; empty where there is no such figure."""
     lines = ["seed,filter,ate_m,heading_rmse_rad,landmark_rmse_m,pose_nees,last_pose_nees"]
     for name, figures in outcome.filters.items():
@@ -71,7 +71,7 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(value)
 
 
-def montecarlo_summary(outcome: Outcome) -> Summary:
+def montecarlo_summary(outcome: StudyOutcome) -> Summary:
     """Return what the command prints: consistent filters, then NEES and errors of each filter."""
     repeated = []
     if outcome.reused:
@@ -108,7 +108,7 @@ def _filter_line(figures: FilterFigures) -> str:
     return f"{nees}; RMSE {rmse['position']:.3g} m, landmarks {rmse['landmarks']:.3g} m"
 
 
-def _rows(outcome: Outcome) -> list[Row]:
+def _rows(outcome: StudyOutcome) -> list[Row]:
     rows = []
     for name, figures in outcome.filters.items():
         group = f"Filter {name} ({100 * LEVEL:.0f} % bands)"
@@ -128,7 +128,7 @@ def _rows(outcome: Outcome) -> list[Row]:
     return rows
 
 
-def remarks(outcome: Outcome) -> list[str]:
+def remarks(outcome: StudyOutcome) -> list[str]:
     """What stands beside the figures: runs that are left out, and what was not handed in."""
     lines = []
     for name, figures in outcome.filters.items():

@@ -12,17 +12,17 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.chunk_files import CONFIG
-from comparisons.experiments.montecarlo.external import TIMEOUT_S, Command
+from comparisons.experiments.montecarlo.external import TIMEOUT_S, ExternalProgram
 from comparisons.experiments.montecarlo.plots import colour_of
-from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, Pair, per_run
+from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, FilterPair, per_run
 from comparisons.experiments.montecarlo.verdict import study_verdict
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
-from comparisons.report.marks import TIME, Band, Curve, Panel
+from comparisons.report.marks import TIME, Curve, FilledBand, Panel
 from comparisons.report.notebook import framed
 
 if TYPE_CHECKING:
-    from comparisons.experiments.montecarlo.study import Outcome
+    from comparisons.experiments.montecarlo.study import StudyOutcome
 
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
 _LEVEL = f"{100 * LEVEL:.0f} %"
@@ -34,12 +34,12 @@ _WHAT = {
 }
 
 
-def framed_page(outcome: Outcome) -> str:
+def framed_page(outcome: StudyOutcome) -> str:
     """Return the page as a notebook shows it."""
     return framed(study_page(outcome, [], ""))
 
 
-def again_with(folder: Path, commands: Mapping[str, Command]) -> str:
+def again_with(folder: Path, commands: Mapping[str, ExternalProgram]) -> str:
     """Return the command that repeats a study of the user's filters, as a part of its page.
 
     folder: of the study, from the folder in which the commands were given.
@@ -53,7 +53,7 @@ def again_with(folder: Path, commands: Mapping[str, Command]) -> str:
     return again("montecarlo", file=shlex.quote(str(folder / CONFIG)), options=options, place=place)
 
 
-def study_page(outcome: Outcome, remarks: list[str], repeated: str | None = None) -> str:
+def study_page(outcome: StudyOutcome, remarks: list[str], repeated: str | None = None) -> str:
     """The whole page.
 
     remarks: what stands beside the figures. repeated: how the study is repeated, as HTML; by its
@@ -93,7 +93,7 @@ def study_page(outcome: Outcome, remarks: list[str], repeated: str | None = None
     return document(f"{outcome.scenario}: Monte Carlo", parts, script(_SCRIPTS))
 
 
-def _consistency(outcome: Outcome) -> str:
+def _consistency(outcome: StudyOutcome) -> str:
     rows: list[tuple[str, ...]] = []
     bad: list[int] = []
     for name, figures in outcome.filters.items():
@@ -121,7 +121,7 @@ _PLACES = {
 }
 
 
-def _errors(outcome: Outcome) -> str:
+def _errors(outcome: StudyOutcome) -> str:
     rows = []
     for name, figures in outcome.filters.items():
         ate = per_run(figures.kept)["position_rmse"]
@@ -137,7 +137,7 @@ def _errors(outcome: Outcome) -> str:
     return _wide(table(("filter", "runs", *head), rows))
 
 
-def _pairs(pairs: list[Pair]) -> str:
+def _pairs(pairs: list[FilterPair]) -> str:
     rows = []
     for pair in pairs:
         if not pair.runs:
@@ -159,7 +159,7 @@ def _wide(content: str) -> str:
     return f'<div class="sideways">{content}</div>'
 
 
-def _panels(outcome: Outcome) -> list[Panel]:
+def _panels(outcome: StudyOutcome) -> list[Panel]:
     """NEES with its band, then RMSE."""
     figures, time_s = outcome.filters, outcome.time_s
     panels = []
@@ -168,7 +168,7 @@ def _panels(outcome: Outcome) -> list[Panel]:
             (f.consistency[block].band for f in figures.values()), key=lambda b: b[1] - b[0]
         )
         low, high = np.broadcast_to(np.array(widest)[:, None], (2, len(time_s)))
-        band = Band(name=f"{_LEVEL} band", colour="#999999", x=time_s, low=low, high=high)
+        band = FilledBand(name=f"{_LEVEL} band", colour="#999999", x=time_s, low=low, high=high)
         panels.append(
             Panel(
                 title=f"mean NEES of {block} ({dof} dof)",

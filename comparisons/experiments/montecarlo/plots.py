@@ -13,7 +13,7 @@ from comparisons.experiments.montecarlo.statistics import DOF, ERRORS
 from comparisons.report.picture import blank
 
 if TYPE_CHECKING:
-    from comparisons.experiments.montecarlo.study import Outcome
+    from comparisons.experiments.montecarlo.study import StudyOutcome
 
 COLOURS = {
     "ekf": "#d1495b",
@@ -39,7 +39,7 @@ def draw_curves(axis: Axes, time_s: Array, curves: dict[str, Array]) -> None:
     axis.set_ylim(bottom=0.0)
 
 
-def curves_figure(outcome: Outcome) -> Figure:
+def curves_figure(outcome: StudyOutcome) -> Figure:
     """ANEES above, RMSE below."""
     figure = blank(15.0, 6.8)
     above, below = figure.subplots(2, 4, sharex=True)

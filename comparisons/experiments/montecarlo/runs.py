@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.experiments.scenarios.world import Measurements, World
-from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf
+from comparisons.experiments.scenarios.world import ScenarioWorld, WorldMeasurements
+from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, BatchInvariantEkf
 from comparisons.experiments.variants.linearisation import (
     AtEstimate,
     AtFirstEstimate,
@@ -20,18 +20,18 @@ from ekf_reference.core.geometry import wrap_angle
 
 _MOST_RECORDS = 500
 
-FILTERS: dict[str, Callable[[World, int], BatchFilter]] = {
+FILTERS: dict[str, Callable[[ScenarioWorld, int], BatchFilter]] = {
     "ekf": lambda w, runs: BatchEkf(w.robot, AtEstimate(), runs, len(w.landmark)),
     "fej": lambda w, runs: BatchEkf(w.robot, AtFirstEstimate(), runs, len(w.landmark)),
     "oc": lambda w, runs: BatchEkf(w.robot, ObservabilityConstrained(), runs, len(w.landmark)),
-    "riekf": lambda w, runs: InvariantEkf(w.robot, runs, len(w.landmark)),
+    "riekf": lambda w, runs: BatchInvariantEkf(w.robot, runs, len(w.landmark)),
     "ideal": lambda w, runs: BatchEkf(
         w.robot, AtTruth(w.pose, w.control, w.landmark), runs, len(w.landmark)
     ),
 }
 
 
-class Records(NamedTuple):
+class RunRecords(NamedTuple):
     """Runs (B) by recorded steps (T). NaN from where a run was lost.
 
     NEES of the pose is in the filter's own error coordinates; the others are of additive errors.
@@ -53,12 +53,12 @@ def recorded_steps(steps: int) -> list[int]:
     return list(range(steps, 0, -stride))[::-1]
 
 
-def run_filter(name: str, world: World, data: Measurements) -> Records:
+def run_filter(name: str, world: ScenarioWorld, data: WorldMeasurements) -> RunRecords:
     """One filter over the measurements of some runs."""
     runs, steps = data.control.shape[:2]
     filter_ = FILTERS[name](world, runs)
     wanted = {step: column for column, step in enumerate(recorded_steps(steps))}
-    records = Records(*(np.full((runs, len(wanted)), np.nan) for _ in Records._fields))
+    records = RunRecords(*(np.full((runs, len(wanted)), np.nan) for _ in RunRecords._fields))
     for k in range(steps):
         filter_.predict(data.control[:, k])
         if len(world.seen[k]):
@@ -69,7 +69,7 @@ def run_filter(name: str, world: World, data: Measurements) -> Records:
     return records
 
 
-def _errors(filter_: BatchFilter, world: World, step: int) -> Records:
+def _errors(filter_: BatchFilter, world: ScenarioWorld, step: int) -> RunRecords:
     state, truth = filter_.state, world.pose[step]
     error, covariance = state.pose_error(truth)
     covariance[state.lost] = np.eye(3)
@@ -83,7 +83,7 @@ def _errors(filter_: BatchFilter, world: World, step: int) -> Records:
         missed = world.landmark[filter_.label] - state.landmarks
         landmark_nees = planar_nees(missed, state.landmark_covariance()).mean(axis=1)
         landmark_square = (missed**2).sum(axis=2).mean(axis=1)
-    return Records(
+    return RunRecords(
         pose_nees,
         planar_nees(position, additive[:, :2, :2]),
         heading**2 / additive[:, 2, 2],

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from comparisons.arrays import Array
-from comparisons.experiments.montecarlo.runs import Records
+from comparisons.experiments.montecarlo.runs import RunRecords
 from comparisons.figures import Aside
 
 LEVEL = 0.95
@@ -32,7 +32,7 @@ def anees_band(runs: int, dof: int) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Consistency:
+class BlockNees:
     """Average NEES over runs and time, of one block of the state.
 
     A mean over steps (or landmarks) has a narrower true band than one step, so that outside is
@@ -88,14 +88,14 @@ class FilterFigures:
     """
 
     lost: int
-    consistency: dict[str, Consistency]
+    consistency: dict[str, BlockNees]
     rmse_position_m: float
     rmse_heading_rad: float
     rmse_landmark_m: float
     last_pose_inside: LastPoses
     nees_curve: Aside[dict[str, Array]]
     rmse_curve: Aside[dict[str, Array]]
-    kept: Aside[Tally]
+    kept: Aside[FilterTally]
 
     @property
     def rmse(self) -> dict[str, float]:
@@ -105,7 +105,7 @@ class FilterFigures:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pair:
+class FilterPair:
     """Two filters compared run by run: first minus second, over the runs that neither lost.
 
     Attributes:
@@ -135,7 +135,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Tally:
+class FilterTally:
     """What is kept of one filter's records.
 
     step_mean: (T,) over the runs not lost. step_runs: how many of them have such a figure at the
@@ -143,10 +143,10 @@ class Tally:
     by field of Records. final_map: figures of landmarks are those of the last step alone.
     """
 
-    step_mean: Records
+    step_mean: RunRecords
     step_runs: tuple[int, ...]
-    run_mean: Records
-    last: Records
+    run_mean: RunRecords
+    last: RunRecords
     final_map: bool = False
 
     @property
@@ -156,26 +156,26 @@ class Tally:
 
 
 def tally(
-    chunks: Iterable[Records],
+    chunks: Iterable[RunRecords],
     used: NDArray[np.bool_] | slice = slice(None),
     *,
     final_map: bool = False,
-) -> Tally:
+) -> FilterTally:
     """Chunk by chunk, in order, so that only one is held at a time.
 
     used: (T,) recorded steps that count; the last is among them.
     """
-    total: list[Array] = [np.zeros(())] * len(Records._fields)
-    count: list[Array] = [np.zeros((), dtype=int)] * len(Records._fields)
-    run_mean: list[Records] = []
-    ends: list[Records] = []
+    total: list[Array] = [np.zeros(())] * len(RunRecords._fields)
+    count: list[Array] = [np.zeros((), dtype=int)] * len(RunRecords._fields)
+    run_mean: list[RunRecords] = []
+    ends: list[RunRecords] = []
     for whole in chunks:
-        records = Records(*(np.ascontiguousarray(r[:, used]) for r in whole))
+        records = RunRecords(*(np.ascontiguousarray(r[:, used]) for r in whole))
         lost = _lost(records)
         total = [t + np.nansum(r[~lost], axis=0) for t, r in zip(total, records, strict=True)]
         count = [n + np.isfinite(r[~lost]).sum(axis=0) for n, r in zip(count, records, strict=True)]
-        means = Records(*(_mean(r, axis=1) for r in records))
-        last = Records(*(r[:, -1].copy() for r in records))
+        means = RunRecords(*(_mean(r, axis=1) for r in records))
+        last = RunRecords(*(r[:, -1].copy() for r in records))
         for values in (*means, *last):
             values[lost] = np.nan
         if final_map:
@@ -185,24 +185,24 @@ def tally(
         run_mean.append(means)
         ends.append(last)
     with np.errstate(invalid="ignore", divide="ignore"):
-        step_mean = Records(*(t / n for t, n in zip(total, count, strict=True)))
-    return Tally(
+        step_mean = RunRecords(*(t / n for t, n in zip(total, count, strict=True)))
+    return FilterTally(
         step_mean, tuple(int(n[-1]) for n in count), _joined(run_mean), _joined(ends), final_map
     )
 
 
-def _lost(records: Records) -> NDArray[np.bool_]:
+def _lost(records: RunRecords) -> NDArray[np.bool_]:
     """Runs that broke down on the way; one without any covariances did not."""
     nees = np.isnan(records.pose_nees)
     partly = nees.any(axis=1) & ~nees.all(axis=1)
     return np.asarray(np.isnan(records.position_square).any(axis=1) | partly)
 
 
-def _joined(parts: list[Records]) -> Records:
-    return Records(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+def _joined(parts: list[RunRecords]) -> RunRecords:
+    return RunRecords(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
-def figures_of(kept: Tally) -> FilterFigures:
+def figures_of(kept: FilterTally) -> FilterFigures:
     """One filter's figures over all its runs."""
     nees = dict(zip(DOF, kept.step_mean[:4], strict=True))
     square = dict(zip(ERRORS, kept.step_mean[4:], strict=True))
@@ -210,7 +210,7 @@ def figures_of(kept: Tally) -> FilterFigures:
     def counted(name: str, curve: Array) -> Array:
         return curve[-1:] if kept.final_map and name == "landmarks" else curve
 
-    def consistency(name: str, runs: int) -> Consistency:
+    def consistency(name: str, runs: int) -> BlockNees:
         found = _consistency(counted(name, nees[name]), runs, DOF[name])
         given = runs or kept.lost == len(kept.run_mean.pose_nees)
         return found if given else replace(found, place="not given")
@@ -231,7 +231,7 @@ def figures_of(kept: Tally) -> FilterFigures:
     )
 
 
-def compare_pairs(kept: dict[str, Tally]) -> list[Pair]:
+def compare_pairs(kept: dict[str, FilterTally]) -> list[FilterPair]:
     """Every two filters, in the order given."""
     each = {name: per_run(one) for name, one in kept.items()}
     rows = [
@@ -243,14 +243,14 @@ def compare_pairs(kept: dict[str, Tally]) -> list[Pair]:
     return [_pair(*row, family) for row in rows]
 
 
-def _pair(first: str, second: str, what: str, difference: Array, family: int) -> Pair:
+def _pair(first: str, second: str, what: str, difference: Array, family: int) -> FilterPair:
     difference = difference[np.isfinite(difference)]
     mean, interval = _interval(difference, LEVEL)
     lower, higher = int((difference < 0).sum()), int((difference > 0).sum())
     p = np.nan
     if lower + higher:
         p = min(family * float(stats.binomtest(lower, lower + higher).pvalue), 1.0)
-    return Pair(
+    return FilterPair(
         first=first,
         second=second,
         what=what,
@@ -264,7 +264,7 @@ def _pair(first: str, second: str, what: str, difference: Array, family: int) ->
     )
 
 
-def per_run(kept: Tally) -> dict[str, Array]:
+def per_run(kept: FilterTally) -> dict[str, Array]:
     """(N,) of each run: mean NEES of the pose, and RMSE; that of the position is the ATE."""
     square = zip(ERRORS, kept.run_mean[4:], strict=True)
     rmse = {f"{name}_rmse": np.sqrt(values) for name, values in square}
@@ -280,16 +280,16 @@ def _interval(difference: Array, level: float) -> tuple[float, tuple[float, floa
     return mean, (mean - spread, mean + spread)
 
 
-def _consistency(counted: Array, runs: int, dof: int) -> Consistency:
+def _consistency(counted: Array, runs: int, dof: int) -> BlockNees:
     mean = float(_mean(counted))
     band = anees_band(runs, dof) if runs else (np.nan, np.nan)
     place: Place = "above" if not mean <= band[1] else "below" if mean < band[0] else "inside"
     reported = counted[np.isfinite(counted)]
     share = float((reported > band[1]).mean()) if len(reported) else np.nan
-    return Consistency(mean, band, place, share)
+    return BlockNees(mean, band, place, share)
 
 
-def _last_poses(kept: Tally) -> LastPoses:
+def _last_poses(kept: FilterTally) -> LastPoses:
     nees = kept.last.pose_nees[np.isfinite(kept.last.pose_nees)]
     low, high = stats.chi2.ppf((0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL), DOF["pose"])
     least, most = stats.binom.interval(LEVEL, len(nees), LEVEL) if len(nees) else (0, 0)

@@ -18,24 +18,24 @@ from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import CHUNK, LOGS, ChunkFiles, check_folder
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
 from comparisons.experiments.montecarlo.external import (
-    Command,
     Estimator,
+    ExternalProgram,
     Failure,
     check_names,
     run_external,
 )
-from comparisons.experiments.montecarlo.runs import Records, recorded_steps, run_filter
+from comparisons.experiments.montecarlo.runs import RunRecords, recorded_steps, run_filter
 from comparisons.experiments.montecarlo.statistics import (
     LEVEL,
     FilterFigures,
-    Pair,
+    FilterPair,
     compare_pairs,
     figures_of,
     tally,
 )
 from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
-from comparisons.experiments.scenarios.world import World, build_world, log_of_run, measure
+from comparisons.experiments.scenarios.world import ScenarioWorld, build_world, log_of_run, measure
 from comparisons.figures import Aside
 from comparisons.logs.log_folder import write_log_folder
 
@@ -87,7 +87,7 @@ def read_study(config: MonteCarloConfig, *, allow_changed: bool = False) -> Stud
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class StudyOutcome:
     """Hold what many runs of several filters found, the same however the work was spread.
 
     Attributes:
@@ -124,7 +124,7 @@ class Outcome:
     landmarks: int
     level: float = LEVEL
     filters: dict[str, FilterFigures]
-    pairs: list[Pair]
+    pairs: list[FilterPair]
     final_map: bool
     failures: dict[str, tuple[Failure, ...]]
     study: Aside[Study]
@@ -181,7 +181,7 @@ def montecarlo(
     estimators: Mapping[str, Estimator] | None = None,
     folder: str | Path | None = None,
     workers: int = 1,
-) -> Outcome:
+) -> StudyOutcome:
     """Run variants of the EKF, and your own filters, over the same simulated runs.
 
     Args:
@@ -216,7 +216,7 @@ def run_study(
     scheduler: str | None = None,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
     external: External | None = None,
-) -> Outcome:
+) -> StudyOutcome:
     """Compute what the folder does not hold yet; figures over all runs. Raises InputError."""
     external = external or External()
     for number in (workers, external.workers):
@@ -253,7 +253,7 @@ def run_study(
         name: tally(_finished(files, name, config.runs), used, final_map=final) for name in names
     } | {name: tally(one.records(), used, final_map=final) for name, one in theirs.items()}
     scenario = study.scenario
-    return Outcome(
+    return StudyOutcome(
         config=config.model_dump(mode="json"),
         scenario=study.name,
         description=scenario.description,
@@ -275,20 +275,20 @@ def run_study(
     )
 
 
-def run_chunk(name: str, world: World, chunk: int) -> Records:
+def run_chunk(name: str, world: ScenarioWorld, chunk: int) -> RunRecords:
     """The records (CHUNK, T) of one chunk; the same wherever it is computed."""
     with np.errstate(all="ignore"):
         runs = range(chunk * CHUNK, (chunk + 1) * CHUNK)
         return run_filter(name, world, measure(world, runs))
 
 
-def _finished(files: ChunkFiles, name: str, runs: int) -> Iterator[Records]:
+def _finished(files: ChunkFiles, name: str, runs: int) -> Iterator[RunRecords]:
     """The records of the first runs, chunk by chunk."""
     for chunk in range(-(-runs // CHUNK)):
         records = files.read(name, chunk)
         if records is None:
             raise InputError(f"{files.path(name, chunk)}: was changed while the study ran")
-        yield Records(*(r[: runs - chunk * CHUNK] for r in records))
+        yield RunRecords(*(r[: runs - chunk * CHUNK] for r in records))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,10 +302,10 @@ class _ExternalRuns:
     failures: tuple[Failure, ...]
     reused: int
 
-    def records(self) -> Iterator[Records]:
+    def records(self) -> Iterator[RunRecords]:
         """Run by run, NaN where it failed."""
         failed = {one.seed for one in self.failures}
-        empty = Records(*(np.full((1, len(self.used)), np.nan) for _ in Records._fields))
+        empty = RunRecords(*(np.full((1, len(self.used)), np.nan) for _ in RunRecords._fields))
         for run in range(self.runs):
             found = empty if run in failed else self.files.read(self.name, run)
             if found is None:
@@ -316,7 +316,7 @@ class _ExternalRuns:
 @dataclass(frozen=True)
 class _ExternalJob:
     study: Study
-    world: World
+    world: ScenarioWorld
     folder: Path
     workers: int
     progress: Callable[[str, int, int], None]
@@ -325,7 +325,7 @@ class _ExternalJob:
         """All runs through one filter, a file each. Raises InputError where every one fails."""
         runs, steps = self.study.config.runs, recorded_steps(self.study.scenario.steps)
         files = _external_files(self.study, self.folder, estimator)
-        reuse = external.reuse and isinstance(estimator, Command)
+        reuse = external.reuse and isinstance(estimator, ExternalProgram)
         wanted = [run for run in range(runs) if not (reuse and _is_there(files, name, run))]
         done = runs - len(wanted)
         self.progress(name, done, runs)
@@ -382,7 +382,7 @@ def keep_log(study: Study, folder: Path, seed: int) -> Path:
     return place
 
 
-def kept_runs(study: Study, folder: Path, commands: Mapping[str, Command]) -> int:
+def kept_runs(study: Study, folder: Path, commands: Mapping[str, ExternalProgram]) -> int:
     """Return how many runs of all filters a study's folder holds, finished or not."""
     runs, found = study.config.runs, 0
     ours = ChunkFiles(folder, study.sha256, 0)
@@ -397,7 +397,7 @@ def kept_runs(study: Study, folder: Path, commands: Mapping[str, Command]) -> in
 
 def _external_files(study: Study, folder: Path, estimator: Estimator) -> ChunkFiles:
     """An external filter's runs, one a file."""
-    command = estimator.sha256 if isinstance(estimator, Command) else ""
+    command = estimator.sha256 if isinstance(estimator, ExternalProgram) else ""
     origin = hashlib.sha256(f"{study.sha256} {command}".encode()).hexdigest()
     return ChunkFiles(folder, origin, len(recorded_steps(study.scenario.steps)), 1)
 
@@ -410,7 +410,7 @@ def _is_there(files: ChunkFiles, name: str, run: int) -> bool:
         return False
 
 
-def record_commands(study: Study, commands: Mapping[str, Command]) -> Study:
+def record_commands(study: Study, commands: Mapping[str, ExternalProgram]) -> Study:
     """Return the study with what runs besides, for its config.toml: hashes, as words may be secret.
 
     Raises InputError for recorded commands that were not given again: a file names them, and only

@@ -11,10 +11,10 @@ from comparisons.report.tables import Columns, Tables, data_frame
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from comparisons.experiments.montecarlo.study import Outcome
+    from comparisons.experiments.montecarlo.study import StudyOutcome
 
 
-def study_frame(outcome: Outcome, table: str) -> DataFrame:
+def study_frame(outcome: StudyOutcome, table: str) -> DataFrame:
     """Return what `Outcome.to_pandas` does. Raises InputError."""
     tables: Tables = {
         "filters": lambda: _filters(outcome),
@@ -24,7 +24,7 @@ def study_frame(outcome: Outcome, table: str) -> DataFrame:
     return data_frame(tables, table)
 
 
-def _filters(outcome: Outcome) -> Columns:
+def _filters(outcome: StudyOutcome) -> Columns:
     rows = []
     for name, figures in outcome.filters.items():
         row: dict[str, Any] = {"filter": name, "lost": figures.lost}
@@ -37,7 +37,7 @@ def _filters(outcome: Outcome) -> Columns:
     return rows
 
 
-def _nees(outcome: Outcome) -> Columns:
+def _nees(outcome: StudyOutcome) -> Columns:
     return [
         {
             "filter": name,

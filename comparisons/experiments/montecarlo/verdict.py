@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from comparisons.experiments.montecarlo.statistics import LEVEL, FilterFigures
 
 if TYPE_CHECKING:
-    from comparisons.experiments.montecarlo.study import Outcome
+    from comparisons.experiments.montecarlo.study import StudyOutcome
 
 _BAND = f"the {100 * LEVEL:.0f} % band"
 _PLACES = {
@@ -18,7 +18,7 @@ _PLACES = {
 }
 
 
-def study_verdict(outcome: Outcome) -> tuple[str, str]:
+def study_verdict(outcome: StudyOutcome) -> tuple[str, str]:
     """Return where the filters' NEES lie, in words, and the outcome that this is.
 
     The outcome is that of the user's filters if there are any: `agree` where all of NEES lies

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from comparisons.config import Section
+from comparisons.config import SettingsGroup
 from comparisons.errors import InputError, naming, shorten
 from comparisons.logs.table import read_toml
 
@@ -20,7 +20,7 @@ _Every = Annotated[int, Field(ge=1, le=1_000_000)]
 _Point = tuple[_Finite, _Finite]
 
 
-class Circle(Section):
+class Circle(SettingsGroup):
     """Constant speed and yaw rate, from the origin eastwards."""
 
     kind: Literal["circle"]
@@ -28,7 +28,7 @@ class Circle(Section):
     yaw_rate_radps: _Finite
 
 
-class Waypoints(Section):
+class Waypoints(SettingsGroup):
     """Round a closed polygon by pure pursuit, from its first point."""
 
     kind: Literal["waypoints"]
@@ -37,7 +37,7 @@ class Waypoints(Section):
     points: Annotated[list[_Point], Field(min_length=3)]
 
 
-class EnvironmentCourse(Section):
+class EnvironmentCourse(SettingsGroup):
     """The path of an environment of comparisons.logs.simulate.worlds, by pure pursuit."""
 
     kind: Literal["nieto-loop"]
@@ -45,7 +45,7 @@ class EnvironmentCourse(Section):
     lookahead_m: _Positive
 
 
-class Ring(Section):
+class Ring(SettingsGroup):
     """Landmarks on circles about a centre, evenly spaced, going through the radii in turn."""
 
     kind: Literal["ring"]
@@ -54,27 +54,27 @@ class Ring(Section):
     count: Annotated[int, Field(ge=1, le=1000)]
 
 
-class Points(Section):
+class PointLandmarks(SettingsGroup):
     """Landmarks one by one."""
 
     kind: Literal["points"]
     points: Annotated[list[_Point], Field(min_length=1)]
 
 
-class EnvironmentLandmarks(Section):
+class EnvironmentLandmarks(SettingsGroup):
     """The landmarks of an environment."""
 
     kind: Literal["nieto-loop"]
 
 
-class Odometry(Section):
+class WhiteOdometryNoise(SettingsGroup):
     """White noise of every step's speed and yaw rate."""
 
     sigma_speed_mps: _Positive
     sigma_yaw_rate_radps: _Positive
 
 
-class RelativePositionSensor(Section):
+class RelativePositionSensor(SettingsGroup):
     """Position in the robot's frame; each axis has sigma_m + sigma_share * distance."""
 
     kind: Literal["relative-position"]
@@ -91,7 +91,7 @@ class RelativePositionSensor(Section):
         return self
 
 
-class RangeBearingSensor(Section):
+class RangeBearingSensor(SettingsGroup):
     """Range and bearing; the range has sigma_range_m + sigma_range_share * distance."""
 
     kind: Literal["range-bearing"]
@@ -111,7 +111,7 @@ class RangeBearingSensor(Section):
         return self
 
 
-class Scenario(Section):
+class Scenario(SettingsGroup):
     """One scenario. from_paper, ours: which of the figures are taken from where, in words."""
 
     description: str
@@ -122,8 +122,8 @@ class Scenario(Section):
     sigma_start_m: _Positive
     sigma_start_rad: _Positive
     course: Annotated[Circle | Waypoints | EnvironmentCourse, Field(discriminator="kind")]
-    landmarks: Annotated[Ring | Points | EnvironmentLandmarks, Field(discriminator="kind")]
-    odometry: Odometry
+    landmarks: Annotated[Ring | PointLandmarks | EnvironmentLandmarks, Field(discriminator="kind")]
+    odometry: WhiteOdometryNoise
     sensor: Annotated[RelativePositionSensor | RangeBearingSensor, Field(discriminator="kind")]
 
     @property

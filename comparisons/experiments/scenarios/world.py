@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError, naming
 from comparisons.experiments.scenarios.scenario import (
     Circle,
-    Points,
+    PointLandmarks,
     RelativePositionSensor,
     Ring,
     Scenario,
@@ -24,9 +24,9 @@ from comparisons.experiments.scenarios.scenario import (
 )
 from comparisons.experiments.variants.batch_ekf import Robot
 from comparisons.experiments.variants.batch_models import (
-    RangeBearing,
+    BatchRangeBearing,
+    BatchSensor,
     RelativePosition,
-    Sensor,
     unicycle,
 )
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
@@ -42,7 +42,7 @@ _STABILISATION = (1e-12, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class World:
+class ScenarioWorld:
     """Truth. pose: (K + 1, 3). control: (K, 2). landmark: (L, 2), of those that are ever seen.
 
     seen: per step the landmarks (m,) measured after it. sigma: per step their sigmas (m, 2).
@@ -57,14 +57,14 @@ class World:
 
 
 @dataclass(frozen=True)
-class Measurements:
+class WorldMeasurements:
     """control: (B, K, 2). z: per step (B, m, 2)."""
 
     control: Array
     z: tuple[Array, ...]
 
 
-def build_world(scenario: Scenario, place: str = "scenario") -> World:
+def build_world(scenario: Scenario, place: str = "scenario") -> ScenarioWorld:
     """The truth of a scenario. place: where it was read, for errors.
 
     Raises InputError where no landmark is ever seen, or no way.
@@ -73,7 +73,7 @@ def build_world(scenario: Scenario, place: str = "scenario") -> World:
         return _world(scenario)
 
 
-def _world(scenario: Scenario) -> World:
+def _world(scenario: Scenario) -> ScenarioWorld:
     control, pose = _drive(scenario)
     landmark = _landmarks(scenario)
     offset = landmark[None] - pose[1:, None, :2]
@@ -97,7 +97,7 @@ def _world(scenario: Scenario) -> World:
         scenario.step_s,
         np.array((odometry.sigma_speed_mps, odometry.sigma_yaw_rate_radps)),
     )
-    return World(
+    return ScenarioWorld(
         robot=robot,
         pose=pose,
         control=control,
@@ -107,7 +107,7 @@ def _world(scenario: Scenario) -> World:
     )
 
 
-def measure(world: World, runs: range) -> Measurements:
+def measure(world: ScenarioWorld, runs: range) -> WorldMeasurements:
     """What the runs of these numbers measure; a run's number is its seed."""
     counts = [len(which) for which in world.seen]
     ends = np.cumsum(counts)
@@ -122,10 +122,10 @@ def measure(world: World, runs: range) -> Measurements:
         noise = rng.standard_normal(world.control.shape)
         control[row] = world.control + world.robot.sigma_odometry * noise
         z[row] = exact + sigma * rng.standard_normal(exact.shape)
-    return Measurements(control, tuple(np.split(z, ends[:-1], axis=1)))
+    return WorldMeasurements(control, tuple(np.split(z, ends[:-1], axis=1)))
 
 
-def log_of_run(world: World, run: int, name: str) -> Log:
+def log_of_run(world: ScenarioWorld, run: int, name: str) -> Log:
     """Return what one run measures as a log, without any truth.
 
     Landmarks have the world's numbers as ids. Relative positions become range and bearing, with
@@ -165,10 +165,10 @@ def log_of_run(world: World, run: int, name: str) -> Log:
     )
 
 
-def _sensor(scenario: Scenario) -> Sensor:
+def _sensor(scenario: Scenario) -> BatchSensor:
     if isinstance(scenario.sensor, RelativePositionSensor):
         return RelativePosition()
-    return RangeBearing()
+    return BatchRangeBearing()
 
 
 def _sigma(scenario: Scenario, distance: Array) -> Array:
@@ -189,7 +189,7 @@ def _landmarks(scenario: Scenario) -> Array:
         ring = np.column_stack((radius * np.cos(angle), radius * np.sin(angle)))
         point: Array = np.array(landmarks.centre) + ring
         return point
-    if isinstance(landmarks, Points):
+    if isinstance(landmarks, PointLandmarks):
         return np.array(landmarks.points)
     return nieto_loop().landmark
 

@@ -11,8 +11,13 @@ from typing import Protocol
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.experiments.variants.batch_models import Sensor, control_jacobian, turned, unicycle
-from comparisons.experiments.variants.batch_state import BatchState, InvariantState
+from comparisons.experiments.variants.batch_models import (
+    BatchSensor,
+    control_jacobian,
+    turned,
+    unicycle,
+)
+from comparisons.experiments.variants.batch_state import BatchInvariantState, BatchState
 from comparisons.experiments.variants.linearisation import Linearisation
 
 
@@ -22,7 +27,7 @@ class Robot:
 
     pose: Array
     covariance: Array
-    sensor: Sensor
+    sensor: BatchSensor
     step_s: float
     sigma_odometry: Array
 
@@ -107,7 +112,7 @@ class BatchEkf(_Labelled):
         self.label = np.concatenate((self.label, label))
 
 
-class InvariantEkf(_Labelled):
+class BatchInvariantEkf(_Labelled):
     """The right-invariant EKF (Barrau and Bonnabel 2015): its errors do not see the heading."""
 
     def __init__(self, robot: Robot, runs: int, capacity: int):
@@ -117,7 +122,7 @@ class InvariantEkf(_Labelled):
         start = np.eye(3)
         start[:2, 2] = -turned(robot.pose[:2])
         covariance = start @ robot.covariance @ start.T
-        self.state = InvariantState(robot.pose, covariance, runs, capacity)
+        self.state = BatchInvariantState(robot.pose, covariance, runs, capacity)
 
     def predict(self, control: Array) -> None:
         """Phi is the identity; a turn that went wrong shows in every point."""

@@ -53,7 +53,7 @@ def control_jacobian(heading: Array, control: Array, step_s: float) -> Array:
     return jacobian
 
 
-class Sensor(Protocol):
+class BatchSensor(Protocol):
     """Contract of the sensors. Offsets (..., 2) are landmark minus robot, in the world's axes."""
 
     def predict(self, heading: Array, offset: Array) -> Array:
@@ -97,7 +97,7 @@ class RelativePosition:
         return matrix
 
 
-class RangeBearing:
+class BatchRangeBearing:
     """Range [m] and bearing from straight ahead [rad]."""
 
     def predict(self, heading: Array, offset: Array) -> Array:

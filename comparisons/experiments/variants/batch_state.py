@@ -152,7 +152,7 @@ class BatchState:
             return np.asarray(np.linalg.cholesky(s), dtype=float)
 
 
-class InvariantState(BatchState):
+class BatchInvariantState(BatchState):
     """Covariances of the right-invariant error xi of SE(2) with landmarks (Barrau 2015).
 
     position = R(a) estimate + V(a) xi_p and likewise every landmark, with a = xi_heading; to first

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from comparisons.arrays import Array
 from comparisons.figures import Figure, Less
 from comparisons.words import Row
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 
 OCCUPIED = 0.8
 """The thesis draws cells above this (Nieto 2005, Fig. 4.3)."""
@@ -44,7 +44,7 @@ def surface_error_rows(errors: Mapping[str, SurfaceError]) -> list[Row]:
     ]
 
 
-def surface_error(samples: Samples, segment: Array) -> SurfaceError:
+def surface_error(samples: LayerSamples, segment: Array) -> SurfaceError:
     """Of the samples of a layer that are occupied. segment: (S, 4) as of Surfaces [m]."""
     return error_of_points(samples.point[samples.occupancy > OCCUPIED], segment)
 

@@ -27,7 +27,7 @@ from comparisons.figures import METRES, Aside, Less, More, Named, percent, rows_
 from comparisons.logs.log import Log
 from comparisons.words import Cause, Row
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 AGREE_M = 0.3
@@ -199,7 +199,7 @@ def _returns(
 
 
 def _against(
-    samples: Samples, other: Array
+    samples: LayerSamples, other: Array
 ) -> tuple[LayerAgreement, list[tuple[int, int, float]]] | None:
     """A layer's samples against returns (M, 2), in all and by region."""
     occupied = np.flatnonzero(samples.occupancy > OCCUPIED)

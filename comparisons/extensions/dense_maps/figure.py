@@ -14,7 +14,7 @@ from comparisons.extensions.dense_maps.source import DenseRun
 from comparisons.logs.log import Log
 from comparisons.report.marks import EKF_COLOUR
 from comparisons.report.picture import blank
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 
 DENSE_COLOUR = "#1b3a4b"
 REGION_COLOUR = "#8fb996"
@@ -28,7 +28,7 @@ def draw_regions(axis: Axes, triangle: Array) -> None:
     )
 
 
-def draw_occupied(axis: Axes, samples: Samples, colour: str = DENSE_COLOUR) -> None:
+def draw_occupied(axis: Axes, samples: LayerSamples, colour: str = DENSE_COLOUR) -> None:
     """What is occupied, as dots, as the thesis draws it."""
     point = samples.point[samples.occupancy > OCCUPIED]
     size = 1.2 if len(point) < 20_000 else 0.5

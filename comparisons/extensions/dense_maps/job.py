@@ -21,7 +21,7 @@ from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 REQUIRED = Required(
@@ -51,8 +51,8 @@ class DenseMapping(Shown):
     ekf: EkfRun
     dense: DenseRun
     placed: RegionsAtMap
-    layers: Mapping[str, Samples]
-    classic: Samples
+    layers: Mapping[str, LayerSamples]
+    classic: LayerSamples
     errors: Mapping[str, SurfaceError]
     answers: Answers
 
@@ -126,12 +126,12 @@ def map_log(
 
 
 def _errors(
-    log: Log, placed: RegionsAtMap, layers: Mapping[str, Samples], usual: Samples
+    log: Log, placed: RegionsAtMap, layers: Mapping[str, LayerSamples], usual: LayerSamples
 ) -> dict[str, SurfaceError]:
     if log.truth.surfaces is None:
         return {}
     region = placed.locate(usual.point).region
     kept = np.flatnonzero(region >= 0)
-    there = Samples(usual.point[kept], usual.occupancy[kept], region[kept])
+    there = LayerSamples(usual.point[kept], usual.occupancy[kept], region[kept])
     held = {**layers, "classic": there}
     return {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}

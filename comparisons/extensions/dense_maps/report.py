@@ -43,9 +43,9 @@ from comparisons.report.sections import about_job, ekf_result, found_entries, kn
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
-from ekf_reference.dense.dense_map import DenseMap, Tally
+from ekf_reference.dense.dense_map import DenseMap, ReturnTally
 from ekf_reference.dense.dynamic import DynamicLayer, places
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from graphslam.scan.clouds import write_cloud
 
 _LIKELY = 0.5
@@ -64,7 +64,7 @@ class LayerResult(Model):
 
 
 @dataclass(kw_only=True)
-class ReturnsResult(Tally):
+class ReturnsResult(ReturnTally):
     """What became of the scanner's returns.
 
     Attributes:
@@ -341,7 +341,7 @@ _BESIDE_M = 1.0
 def dense_map_figure(mapping: DenseMapping) -> Figure:
     """One panel per layer, before and after the largest correction where there was one."""
     dense, before = mapping.dense, mapping.dense.before
-    panels: list[tuple[str, Samples, Array, Array]] = []
+    panels: list[tuple[str, LayerSamples, Array, Array]] = []
     for name, samples in mapping.layers.items():
         if before is not None:
             title = f"{name}, before {before.time_s:.1f} s"

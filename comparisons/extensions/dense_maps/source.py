@@ -26,10 +26,10 @@ from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.dense.layers.layer import Layer, Samples
+from ekf_reference.dense.layers.layer import Layer, LayerSamples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
-from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.points import AllReturns
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView, by_number
@@ -59,7 +59,7 @@ def build_map(
     """Return an empty map. also: more layers. rule: of what moves."""
     size, bounds = config.resolution_m, config.bounds
     made: Mapping[str, Layer] = {
-        "points": Points(size),
+        "points": AllReturns(size),
         "occupancy": OccupancyGrid(size, grid_model(config), config.confidence, config.coarsening),
         "particles": Particles(
             np.random.default_rng(0),
@@ -106,7 +106,7 @@ class BeforeClosing:
     shift_m: float
     landmark: Aside[Array]
     triangle: Aside[Array]
-    layers: Aside[Mapping[str, Samples]]
+    layers: Aside[Mapping[str, LayerSamples]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,15 +16,15 @@ from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.association import (
     Choice,
+    ExpectedDetection,
     KnownIdentities,
     ParticleAssociation,
     PerParticleLikelihood,
-    View,
 )
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 from graphslam.scan import planar
 
-VIEW = View(range_m=30.0, half_angle_rad=1.2)
+VIEW = ExpectedDetection(range_m=30.0, half_angle_rad=1.2)
 """Where a landmark should be detected when it exists, for logs without labels."""
 
 
@@ -57,7 +57,7 @@ class Sampling(NamedTuple):
     stream: tuple[int, ...] = ()
 
 
-class Start(NamedTuple):
+class DriveStart(NamedTuple):
     """What is known at first: pose (3,) and the covariance (3, 3) of its additive global error."""
 
     pose: Array
@@ -72,11 +72,11 @@ def build_fastslam(log: Log, sampling: Sampling, *, known: bool) -> FastSlam:
     rule: ParticleAssociation = PerParticleLikelihood(view=VIEW, choice=sampling.choice)
     if known:
         rule = KnownIdentities(log.measurements.label_gate)
-    return start_fastslam(log, sampling, rule, Start(log.prior.pose, log.prior.covariance))
+    return start_fastslam(log, sampling, rule, DriveStart(log.prior.pose, log.prior.covariance))
 
 
 def start_fastslam(
-    log: Log, sampling: Sampling, rule: ParticleAssociation, start: Start
+    log: Log, sampling: Sampling, rule: ParticleAssociation, start: DriveStart
 ) -> FastSlam:
     """Return a FastSLAM with the log's vehicle."""
     options = FastSlamOptions(

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.extensions.fastslam.drive import Inputs, Sampling, Start, start_fastslam
+from comparisons.extensions.fastslam.drive import DriveStart, Inputs, Sampling, start_fastslam
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Gaps
 from ekf_reference.core.geometry import wrap_angle
@@ -24,7 +24,7 @@ from ekf_reference.fastslam.association import KnownIdentities
 from ekf_reference.fastslam.filter import FastSlam
 from graphslam.problem import SlamProblem
 from graphslam.sampling import SamplingOptions, sample_posterior
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, smooth
 
 LEAST_ANCESTORS = 0.05
 """Share of a cloud: a stretch ends before its effective ancestors are fewer."""
@@ -39,7 +39,7 @@ KNOWN_SIGMA = np.array([1e-3, 1e-3, 1e-4])
 """Of a known pose: x, y [m], heading [rad]; exact but for a covariance that can be inverted."""
 
 
-class Stretch(NamedTuple):
+class EpochStretch(NamedTuple):
     """Epochs first to last, both included.
 
     depleted: already its first measurements leave fewer than LEAST_ANCESTORS.
@@ -100,9 +100,9 @@ class StretchComparison:
             found.append(self.clouds(stretch, k, clouds // len(chosen)))
         return found
 
-    def stretches(self, most: int) -> list[Stretch]:
+    def stretches(self, most: int) -> list[EpochStretch]:
         """Return the stretches to compare, by one cloud that starts anew in each."""
-        found: list[Stretch] = []
+        found: list[EpochStretch] = []
         first = 0
         while first < self._last or not found:
             found.append(self._stretch(first, len(found)))
@@ -110,7 +110,7 @@ class StretchComparison:
         few = np.linspace(0, len(found) - 1, min(len(found), most))
         return [found[k] for k in few.round().astype(int)]
 
-    def _stretch(self, first: int, number: int) -> Stretch:
+    def _stretch(self, first: int, number: int) -> EpochStretch:
         """Drive until too few ancestors are left, or to the end of the log."""
         particles = PILOT * self._sampling.particles
         slam = self._slam(first, (number,), particles)
@@ -120,12 +120,12 @@ class StretchComparison:
                 continue
             if slam.history.effective_ancestors(slam.weight) < LEAST_ANCESTORS * len(slam.pose):
                 if enough > first:
-                    return Stretch(first, enough)
-                return Stretch(first, min(max(k, first + 1), self._last), depleted=True)
+                    return EpochStretch(first, enough)
+                return EpochStretch(first, min(max(k, first + 1), self._last), depleted=True)
             enough = k
-        return Stretch(first, self._last)
+        return EpochStretch(first, self._last)
 
-    def clouds(self, stretch: Stretch, number: int, count: int) -> StretchClouds:
+    def clouds(self, stretch: EpochStretch, number: int, count: int) -> StretchClouds:
         """Run M independent clouds through a stretch, and the smoother. number: for the seeds."""
         first, last, depleted = stretch
         reference = reference_of(self._problem, self._whole, (first, last), self._known(first))
@@ -147,7 +147,7 @@ class StretchComparison:
             exact=reference.exact_draws,
         )
 
-    def _driven(self, stretch: Stretch, number: tuple[int, ...]) -> FastSlam:
+    def _driven(self, stretch: EpochStretch, number: tuple[int, ...]) -> FastSlam:
         """Return a cloud at the end of a stretch, all of its motion sampled."""
         slam = self._slam(stretch.first, number, self._sampling.particles)
         for epoch in range(stretch.first, stretch.last + 1):
@@ -164,9 +164,9 @@ class StretchComparison:
         sampling = self._sampling._replace(particles=particles, stream=(len(number), *number))
         return start_fastslam(self._log, sampling, KnownIdentities(), self._known(first))
 
-    def _known(self, epoch: int) -> Start:
+    def _known(self, epoch: int) -> DriveStart:
         """Return the smoother's pose, taken for known."""
-        return Start(self._whole.poses[epoch], np.diag(KNOWN_SIGMA**2))
+        return DriveStart(self._whole.poses[epoch], np.diag(KNOWN_SIGMA**2))
 
     def _advance(self, slam: FastSlam, epoch: int, first: int) -> bool:
         """Move to an epoch, unless it is the first, and observe; return whether that was done."""
@@ -207,14 +207,14 @@ EXACT_DRAWS = 96
 """Draws that are kept of the chains, so far from each other that they are all but independent."""
 
 
-class Reference(NamedTuple):
+class StretchPosterior(NamedTuple):
     """The smoother's posterior of the last pose and the D landmarks of a stretch, d = 3 + 2 D.
 
     result: of the stretch's problem. landmarks: (D,) indices in the whole log. mean: (d,). root:
     (d, d), the Cholesky factor of the covariance.
     """
 
-    result: SmootherResult
+    result: SmootherEvidence
     landmarks: Index
     mean: Array
     root: Array
@@ -246,8 +246,8 @@ class Reference(NamedTuple):
 
 
 def reference_of(
-    problem: SlamProblem, whole: SmootherResult, epochs: tuple[int, int], start: Start
-) -> Reference:
+    problem: SlamProblem, whole: SmootherEvidence, epochs: tuple[int, int], start: DriveStart
+) -> StretchPosterior:
     """Smooth a stretch of a problem, from the whole log's optimum on.
 
     epochs: first and last, both included. start: what is known at the first.
@@ -258,11 +258,11 @@ def reference_of(
     result = smooth(part, {"whole log": guess})
     mean, covariance = result.marginal()
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-    return Reference(result, landmarks, mean, root)
+    return StretchPosterior(result, landmarks, mean, root)
 
 
 def between(
-    problem: SlamProblem, epochs: tuple[int, int], start: Start
+    problem: SlamProblem, epochs: tuple[int, int], start: DriveStart
 ) -> tuple[SlamProblem, Index]:
     """Return the motion and the measurements of a stretch, and the landmarks (D,) that it has."""
     first, last = epochs

@@ -25,7 +25,7 @@ from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search
 from ekf_reference.scan_landmarks.high_level_lifecycle import Glimpse, HighLevelLandmarks
-from ekf_reference.scan_landmarks.templates import View
+from ekf_reference.scan_landmarks.templates import SensorView
 from ekf_reference.scan_matching.scan_shape import of_scan
 
 SEARCHED: tuple[Layer, ...] = ("occupancy", "sog")
@@ -209,9 +209,9 @@ class HighLevelSource(FilterObservers):
             self.landmarks.take(one, dense.regions.base[one.region], dense.landmark)
 
 
-def _view(log: Log) -> View:
+def _view(log: Log) -> SensorView:
     """What the log's scanner can see: its beams, as far as anything returned."""
     if log.scans is None:
-        return View(50.0, -math.pi, math.pi)
+        return SensorView(50.0, -math.pi, math.pi)
     way = log.scans.range_m
     return view_to(log.scans, float(way[np.isfinite(way)].max(initial=0.0)))

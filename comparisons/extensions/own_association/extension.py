@@ -29,7 +29,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.own_association.config import OwnAssociationConfig
 from comparisons.figures import METRES, Aside, Less, More, Named, in_sigma, percent, rows_of
 from comparisons.logs.log import LandmarkMeasurements
-from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
+from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, BackgroundCall
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
@@ -190,7 +190,7 @@ class OwnAssociation(Extension):
         super().__init__(settings, config)
         self.asked = settings.when != "never"
 
-    def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
+    def start(self, prepared: Prepared[Any], run: EkfRun) -> BackgroundCall[OwnSolution] | None:
         """Associate and solve beside the smoother; neither needs the other's result."""
         if not self.asked:
             return None
@@ -198,7 +198,7 @@ class OwnAssociation(Extension):
         rows = position_rows(run.timeline, run.positions)
         left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
         size = len(run.timeline.epoch_time_s), len(run.landmark_index), len(run.estimate.landmark)
-        return Beside(
+        return BackgroundCall(
             solve_with_own_association,
             log.name,
             OwnAssociator(log, run.timeline, rows, left_out),

@@ -16,7 +16,7 @@ from scipy.stats import chi2, f
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import Gaussian, block_agreement
-from comparisons.checks.map_agreement import Pair
+from comparisons.checks.map_agreement import MapPair
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure, LeftOut, Less, Named, Same
 from comparisons.plane import pose_difference, rms, squared_distance
@@ -113,8 +113,8 @@ class OwnMatchingCheck:
     shift_rad: LeftOut[float]
     shift_sigma: Less[Figure | None]
     landmarks: tuple[LandmarkMatching, ...]
-    ekf: Pair
-    smoother: Pair
+    ekf: MapPair
+    smoother: MapPair
     pose_difference_m: Less[float]
     pose_distance_sigma: Less[Figure]
     path_ekf_m: Less[float]
@@ -221,18 +221,18 @@ def common_shift(
     return shift, float(shift @ total @ shift) / max(scatter, np.finfo(float).tiny), freedom
 
 
-def compare_frames(first: Estimate, second: Estimate) -> Pair:
+def compare_frames(first: Estimate, second: Estimate) -> MapPair:
     """Scan landmarks that both have, x, y and heading, by the sum of both covariances."""
     _, i, j = np.intersect1d(
         first.pose_landmark_id, second.pose_landmark_id, assume_unique=True, return_indices=True
     )
     if not len(i):
-        return Pair.of(0.0, 0.0, np.zeros(0), 3, 0)
+        return MapPair.of(0.0, 0.0, np.zeros(0), 3, 0)
     a, b = first.pose_landmarks[i], second.pose_landmarks[j]
     apart = pose_difference(a, b)
     total = first.pose_landmark_covariances()[i] + second.pose_landmark_covariances()[j]
     squared = squared_distance(apart, total)
-    return Pair.of(
+    return MapPair.of(
         rms(apart[:, :2]),
         rms(aligned(a[:, :2], b[:, :2]) - b[:, :2]),
         squared,

@@ -21,13 +21,13 @@ from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row
-from graphslam.chain_diagnostics import Estimated
+from graphslam.chain_diagnostics import SampledFigure
 from graphslam.sampling import (
     LARGEST_DIMENSION,
     LARGEST_R_HAT,
     LEAST_ACCEPTANCE,
     LEAST_SAMPLE_SIZE,
-    Judgement,
+    PosteriorComparison,
     PosteriorDraws,
     SamplingOptions,
     sample_posterior,
@@ -47,7 +47,7 @@ ERRORS = 4.0
 
 
 @dataclass(frozen=True)
-class Judged:
+class GaussianJudgement:
     """One estimator's Gaussian against the posterior.
 
     Attributes:
@@ -56,9 +56,9 @@ class Judged:
         whole: of the last pose and all landmarks together.
     """
 
-    pose: Judgement
-    landmarks: tuple[Judgement, ...]
-    whole: Judgement
+    pose: PosteriorComparison
+    landmarks: tuple[PosteriorComparison, ...]
+    whole: PosteriorComparison
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,8 +121,8 @@ class PosteriorCheck:
     converged: bool
     lacks: str
     moments: Moments | None
-    ekf: LeftOut[Judged | None]
-    smoother: LeftOut[Judged | None]
+    ekf: LeftOut[GaussianJudgement | None]
+    smoother: LeftOut[GaussianJudgement | None]
     posterior: Aside[PosteriorDraws]
 
 
@@ -148,14 +148,14 @@ def check_posterior(draws: PosteriorDraws, ekf: Estimate, smoothed: Estimate) ->
     )
 
 
-def judged(draws: PosteriorDraws, estimate: Estimate) -> Judged:
+def judged(draws: PosteriorDraws, estimate: Estimate) -> GaussianJudgement:
     """Judge an estimator's Gaussian of the last pose and all points."""
     mean = np.concatenate((estimate.pose[-1], estimate.landmark.ravel()))
     pose, *landmarks, whole = (
         draws.judge(mean, estimate.joint_covariance, numbers, LEVEL)
         for numbers in _blocks(len(mean))
     )
-    return Judged(pose, tuple(landmarks), whole)
+    return GaussianJudgement(pose, tuple(landmarks), whole)
 
 
 def _blocks(size: int) -> Iterator[Index]:
@@ -165,16 +165,16 @@ def _blocks(size: int) -> Iterator[Index]:
     yield np.arange(size)
 
 
-def fails(block: Judgement) -> bool:
+def fails(block: PosteriorComparison) -> bool:
     """Whether a Gaussian is too small for the posterior, by more than chance."""
     return _below(block.coverage, LEAST_COVERAGE) or _below(block.least, LEAST_RATIO)
 
 
-def _below(figure: Estimated, limit: float) -> bool:
+def _below(figure: SampledFigure, limit: float) -> bool:
     return figure.value + ERRORS * figure.error < limit
 
 
-def failures(judgement: Judged, ids: NDArray[np.int64]) -> list[str]:
+def failures(judgement: GaussianJudgement, ids: NDArray[np.int64]) -> list[str]:
     """Return the blocks that fail, in words. ids: (L,) of the landmarks."""
     found = ["the last pose"] if fails(judgement.pose) else []
     failed = [i for i, one in zip(ids.tolist(), judgement.landmarks, strict=True) if fails(one)]
@@ -278,7 +278,7 @@ def _limited(quantity: str, value: float | None, limit: float, side: str, form: 
     return Row(_GROUP, quantity, shown, f"{side} {limit:g}", inside)
 
 
-def _judged_rows(name: str, judged: Judged) -> list[Row]:
+def _judged_rows(name: str, judged: GaussianJudgement) -> list[Row]:
     blocks = [("last pose", judged.pose), ("whole", judged.whole)]
     if judged.landmarks:
         worst = min(judged.landmarks, key=lambda one: one.coverage.value)
@@ -294,11 +294,11 @@ def _judged_rows(name: str, judged: Judged) -> list[Row]:
     return rows
 
 
-def _shown(figure: Estimated) -> str:
+def _shown(figure: SampledFigure) -> str:
     return f"{figure.value:.2f} +- {figure.error:.2f}"
 
 
-def _line(ekf: Judged, smoother: Judged) -> str:
+def _line(ekf: GaussianJudgement, smoother: GaussianJudgement) -> str:
     held = (100.0 * judged.whole.coverage.value for judged in (ekf, smoother))
     of_ekf, of_smoother = (f"{share:.0f} %" for share in held)
     return f"95 % ellipsoids hold {of_ekf} (EKF) and {of_smoother} (smoother) of the draws"

@@ -46,7 +46,7 @@ from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row
 from graphslam.scan.loop_closure import loop_closer
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, smooth
 
 
 class ScanMotionExtension(Extension):
@@ -163,7 +163,7 @@ def solve_on_scans(known: Known, motion: ScanMotion) -> ThreeWay:
     )
 
 
-def smooth_on_scans(log: Log, motion: ScanMotion, run: EkfRun) -> tuple[SmootherResult, Estimate]:
+def smooth_on_scans(log: Log, motion: ScanMotion, run: EkfRun) -> tuple[SmootherEvidence, Estimate]:
     """Solve with the scans' motion and the EKF's association and ids. Raises InputError.
 
     Landmarks that were only seen outside the time of the scans are left out, but for surveyed

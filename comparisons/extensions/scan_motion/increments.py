@@ -18,7 +18,7 @@ from comparisons.extensions.scan_motion.log_by_scans import divide
 from comparisons.figures import Named, Nominal
 from comparisons.logs.log import Log, Poses, Positions
 from comparisons.plane import squared_distance
-from graphslam.increments import Samples, dead_reckoned
+from graphslam.increments import MotionSamples, dead_reckoned
 from graphslam.scan import planar
 
 WINDOW_S = 5.0
@@ -149,7 +149,7 @@ class _Window:
         steps = _steps(motion, time_s)
         knots = motion.time_s[steps.start - 1 : steps.stop]
         times = np.unique(np.concatenate((knots, time_s)))
-        whole = Samples(motion.displacement[steps], motion.covariance[steps])
+        whole = MotionSamples(motion.displacement[steps], motion.covariance[steps])
         pieces = divide(whole, knots, times)
         path = dead_reckoned(np.zeros(3), pieces.displacement)
         at = np.searchsorted(times, time_s)

@@ -36,7 +36,7 @@ from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import Closed, LoopCloser, NoLoopClosure, loop_closer
 from graphslam.scan.matchers import MATCHERS
 from graphslam.scan.points import placed
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import SmootherEvidence, smooth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class FrontEnd(Shown):
     odometry: Array
     wheels: Array | None
     closed: Closed
-    graph: SmootherResult
+    graph: SmootherEvidence
     estimate: Estimate
     clouds: CloudsAt
     increments: IncrementCheck | None

@@ -14,7 +14,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.transforms.known_landmarks import join_known_measurements
-from graphslam.increments import Samples
+from graphslam.increments import MotionSamples
 
 BEYOND = "measurements_beyond_scans"
 """Key of a log's provenance: how many measurements were left out."""
@@ -53,7 +53,7 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     if positions and fixes is not None:
         wanted.append(fixes.time_s)
     times = np.unique(np.concatenate(wanted))
-    pieces = divide(Samples(moves, spreads), knots, times)
+    pieces = divide(MotionSamples(moves, spreads), knots, times)
     spread = pieces.covariance + _LEAST * np.eye(3)
     left_out = int(np.count_nonzero(~seen))
     provenance = {**log.provenance, "motion": f"{len(motion.time_s)} scans"}
@@ -87,7 +87,7 @@ def _begin(log: Log, motion: ScanMotion) -> float:
     return log.prior.time_s if len(log.odometry.time_s) and start > log.prior.time_s else start
 
 
-def divide(increments: Samples, knots: Array, times: Array) -> Samples:
+def divide(increments: MotionSamples, knots: Array, times: Array) -> MotionSamples:
     """Increments between knots (K,) as increments between times (N,), all knots among them.
 
     A piece is the same share of the motion's tangent as of the time, and of the covariance.
@@ -99,7 +99,7 @@ def divide(increments: Samples, knots: Array, times: Array) -> Samples:
     displacement = increments.displacement[interval]
     part = _exponential(share[:, None] * _logarithm(displacement))
     displacement = np.where(whole[:, None], displacement, part)
-    return Samples(displacement, share[:, None, None] * increments.covariance[interval])
+    return MotionSamples(displacement, share[:, None, None] * increments.covariance[interval])
 
 
 def _logarithm(motion: Array) -> Array:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.map_agreement import Pair
+from comparisons.checks.map_agreement import MapPair
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Same
 from comparisons.words import Cause
 from graphslam.optimum import Optimality, chi_square_test
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherEvidence
 
 _CLEARLY = 1.5
 """Of two errors, one so many times the other shows the worse motion."""
@@ -40,8 +40,8 @@ class ThreeWay:
         estimate: of the smoother on scans.
     """
 
-    ekf: Pair
-    smoother: Pair
+    ekf: MapPair
+    smoother: MapPair
     loops: int
     verified: bool
     chi2: Same[float]
@@ -70,7 +70,7 @@ class ThreeWay:
         return remarks
 
 
-def readable(result: SmootherResult) -> Optimality:
+def readable(result: SmootherEvidence) -> Optimality:
     """The optimality check with a chi-square that counts its degrees of freedom, kernels or not.
 
     A robust kernel only lowers the error, so what is too high under it is so without it.

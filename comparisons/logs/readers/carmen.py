@@ -26,7 +26,7 @@ from comparisons.arrays import Array, Index
 from comparisons.errors import InputError, shorten
 from comparisons.logs.log import Log, Prior
 from comparisons.logs.odometry import NOISE_TEXT, displacements, poses_at
-from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweep
+from comparisons.logs.readers.carmen_lines import TAGS, CarmenLaserLine, LineReader
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import first_words, locate_rows, read_text, stem
@@ -191,7 +191,7 @@ def _odometry(path: Path, rows: Array, clock: _Clock, scans: list[int]) -> Array
     return np.column_stack((time, kept[first, 3:]))
 
 
-def _mount(path: Path, sweeps: list[Sweep]) -> Mount:
+def _mount(path: Path, sweeps: list[CarmenLaserLine]) -> Mount:
     """The laser seen from the robot, which all lines must agree on."""
     laser, robot = (np.array([one.poses[k : k + 3] for one in sweeps]) for k in (0, 3))
     offset = (laser[:, :2] - robot[:, :2]) @ np.array([1.0, 1j]) * np.exp(-1j * robot[:, 2])

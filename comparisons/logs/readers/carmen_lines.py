@@ -29,7 +29,7 @@ Times = tuple[float, float]
 """IPC's and the logger's, the latter NaN where the line has none."""
 
 
-class Sweep(NamedTuple):
+class CarmenLaserLine(NamedTuple):
     """One laser line. line: its number from 1.
 
     times_s: in the log's own seconds. angle_rad, range_m, remission: (B,). maximum_m: ranges from
@@ -56,7 +56,7 @@ class LineReader:
     def __init__(self, path: Path) -> None:
         """path: for errors only."""
         self.path = path
-        self.sweeps: dict[str, list[Sweep]] = {"FLASER": [], "ROBOTLASER1": []}
+        self.sweeps: dict[str, list[CarmenLaserLine]] = {"FLASER": [], "ROBOTLASER1": []}
         self.beams: dict[str, BeamGrid] = {}
         self.odometry: list[list[float]] = []
         self.skipped: Counter[str] = Counter()
@@ -99,7 +99,9 @@ class LineReader:
             first = -step * (count - 1) / 2
         angle = first + step * np.arange(count, dtype=np.float64)
         nothing = np.zeros(count)
-        self._add("FLASER", Sweep(number, times, angle, ranges, self.maximum_m, nothing, poses))
+        self._add(
+            "FLASER", CarmenLaserLine(number, times, angle, ranges, self.maximum_m, nothing, poses)
+        )
 
     def _robotlaser(self, number: int, words: list[str]) -> None:
         """Configuration, ranges, remissions, laser pose, robot pose, five more, time, host, ..."""
@@ -136,7 +138,9 @@ class LineReader:
         times = self._times(number, words, rest + 11)
         angle = first + step * np.arange(count, dtype=np.float64)
         shown = remissions if more else np.zeros(count)
-        self._add("ROBOTLASER1", Sweep(number, times, angle, ranges, maximum, shown, poses))
+        self._add(
+            "ROBOTLASER1", CarmenLaserLine(number, times, angle, ranges, maximum, shown, poses)
+        )
 
     def _odom(self, number: int, words: list[str]) -> None:
         """Pose, tv, rv, accel, time, host, logger's time."""
@@ -144,7 +148,7 @@ class LineReader:
         times = self._times(number, words, 7)
         self.odometry.append([number, *times, *self._numbers(number, words[1:4], "pose")])
 
-    def _add(self, kind: str, sweep: Sweep) -> None:
+    def _add(self, kind: str, sweep: CarmenLaserLine) -> None:
         sweeps, number = self.sweeps[kind], sweep.line
         angle, ranges = sweep.angle_rad, sweep.range_m
         before = sweeps[-1] if sweeps else sweep

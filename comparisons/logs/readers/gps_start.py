@@ -48,7 +48,7 @@ def start_from_gps(
     return lay_path(odometry.time_s, path, positions, until_s)
 
 
-class Start(NamedTuple):
+class GpsStart(NamedTuple):
     """pose: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its additive errors."""
 
     pose: Array
@@ -88,7 +88,7 @@ def lay_path(
     return np.array([start.real, start.imag, start_heading])
 
 
-def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> Start:
+def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> GpsStart:
     """Return the start that fixes up to `until_s` show, with the odometry's noise on the way there.
 
     Raises InputError where the vehicle has not moved enough by then.
@@ -99,7 +99,7 @@ def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> Start
     for _ in range(_STEPS):
         information, vector = _shown(moved, fixes, pose)
         pose = pose + np.linalg.solve(information, vector)
-    return Start(pose, np.asarray(np.linalg.inv(information), dtype=np.float64))
+    return GpsStart(pose, np.asarray(np.linalg.inv(information), dtype=np.float64))
 
 
 class Laid(NamedTuple):
@@ -134,9 +134,9 @@ def lay_fixes(moved: Reckoned, plane: Positions) -> Laid | None:
     return Laid(behind, turn @ start.covariance @ turn.T, spent)
 
 
-def _spent(moved: Reckoned, plane: Positions) -> tuple[int, Start | None]:
+def _spent(moved: Reckoned, plane: Positions) -> tuple[int, GpsStart | None]:
     """The last fix to spend on the start, and what it then is; None where no fix would be left."""
-    found: dict[int, Start | None] = {}
+    found: dict[int, GpsStart | None] = {}
 
     def variance(last: int) -> float:
         try:

@@ -22,7 +22,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.stamps import seconds_after
-from comparisons.logs.table import Table
+from comparisons.logs.table import TextTable
 from comparisons.logs.validation import whole_numbers, within
 
 _ROBOTS = 5
@@ -47,13 +47,15 @@ def read(path: Path, robot: int) -> Log:
     The prior is the motion capture's pose then. Measurements of other robots and of unlisted
     barcodes are left out, and the provenance says how many. Raises InputError.
     """
-    odometry = Table(path / f"Robot{robot}_Odometry.dat", ("time", "v", "omega"))
-    measured = Table(
+    odometry = TextTable(path / f"Robot{robot}_Odometry.dat", ("time", "v", "omega"))
+    measured = TextTable(
         path / f"Robot{robot}_Measurement.dat", ("time", "barcode", "range", "bearing")
     )
-    captured = Table(path / f"Robot{robot}_Groundtruth.dat", ("time", "x", "y", "heading"))
-    surveyed = Table(path / "Landmark_Groundtruth.dat", ("subject", "x", "y", "sigma_x", "sigma_y"))
-    barcodes = Table(path / "Barcodes.dat", ("subject", "barcode"))
+    captured = TextTable(path / f"Robot{robot}_Groundtruth.dat", ("time", "x", "y", "heading"))
+    surveyed = TextTable(
+        path / "Landmark_Groundtruth.dat", ("subject", "x", "y", "sigma_x", "sigma_y")
+    )
+    barcodes = TextTable(path / "Barcodes.dat", ("subject", "barcode"))
     for table in (odometry, measured, captured, surveyed, barcodes):
         if not len(table):
             raise InputError(f"{table.path}: holds no records")
@@ -109,7 +111,7 @@ def read(path: Path, robot: int) -> Log:
     )
 
 
-def _measurements(measured: Table, start: Decimal, landmark: Array) -> LandmarkMeasurements:
+def _measurements(measured: TextTable, start: Decimal, landmark: Array) -> LandmarkMeasurements:
     """All records as recorded, robots included, so that a fault is reported by its line."""
     within("measurements", "bearing_rad", measured["bearing"], -1.5, 1.5)
     ids = whole_numbers("measurements", "subject", landmark)

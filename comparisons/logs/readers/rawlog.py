@@ -38,7 +38,7 @@ from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import number_or_fail, read_text
 from comparisons.logs.validation import whole_numbers
-from graphslam.increments import Samples, compose
+from graphslam.increments import MotionSamples, compose
 
 _LEAST_STEP_S = 1e-3
 """Between frames: what is nearer is the clock of a simulation, not of a robot."""
@@ -60,7 +60,7 @@ class _Drive:
     """
 
     time_s: Array
-    frames: Sequence[stream.Frame]
+    frames: Sequence[stream.RawlogFrame]
     odometry: RelativePoses
     provenance: dict[str, str]
     first_ticks: int | None
@@ -78,10 +78,10 @@ def read(path: Path) -> Log:
     InputError naming the byte of the unpacked file at fault.
     """
     found = list(stream.records(path))
-    every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
+    every = [o for item in found if isinstance(item, stream.RawlogFrame) for o in item.observations]
     passed = Counter(o.name for o in every if isinstance(o, stream.Passed))
     passed_over = ", ".join(f"{count} {name}" for name, count in passed.items())
-    if not any(isinstance(o, stream.Sweep) or _measures(o) for o in every):
+    if not any(isinstance(o, stream.RawlogScan) or _measures(o) for o in every):
         raise InputError(
             f"{path}: no CObservationBearingRange or CObservation2DRangeScan with readings, "
             f"expected at least one (it holds {passed_over or 'no other observations'})"
@@ -106,20 +106,22 @@ def read(path: Path) -> Log:
     )
 
 
-def _measures(item: stream.Record) -> bool:
-    return isinstance(item, stream.Seen) and len(item.polar) > 0
+def _measures(item: stream.RawlogRecord) -> bool:
+    return isinstance(item, stream.RawlogRangeBearing) and len(item.polar) > 0
 
 
-def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Drive:
+def _stepwise(path: Path, found: Sequence[stream.Movement | stream.RawlogFrame]) -> _Drive:
     """Frames with the composed motion between them; frames without anything to use are bridged."""
-    frames: list[stream.Frame] = []
+    frames: list[stream.RawlogFrame] = []
     moves: list[stream.Movement] = []
     interval: list[int] = []
     for item in found:
         if isinstance(item, stream.Movement):
             moves.append(item)
             interval.append(len(frames) - 1)
-        elif any(isinstance(o, stream.Seen | stream.Sweep) for o in item.observations):
+        elif any(
+            isinstance(o, stream.RawlogRangeBearing | stream.RawlogScan) for o in item.observations
+        ):
             frames.append(item)
     steps = len(frames) - 1
     inside = [row for row, step in enumerate(interval) if 0 <= step < steps]
@@ -130,7 +132,7 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
         )
     time_s, first_ticks, provenance = _frame_times(frames)
     composed = compose(
-        Samples(
+        MotionSamples(
             np.reshape([moves[row].displacement for row in inside], (-1, 3)),
             np.reshape([moves[row].covariance for row in inside], (-1, 3, 3)),
         ),
@@ -145,10 +147,14 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
     return _Drive(time_s, frames, odometry, provenance, first_ticks)
 
 
-def _frame_times(frames: Sequence[stream.Frame]) -> tuple[Array, int | None, dict[str, str]]:
+def _frame_times(frames: Sequence[stream.RawlogFrame]) -> tuple[Array, int | None, dict[str, str]]:
     """(K,) of the frames; their numbers where their times are missing or do not increase."""
     ticks = [
-        next(o.ticks for o in f.observations if isinstance(o, stream.Seen | stream.Sweep))
+        next(
+            o.ticks
+            for o in f.observations
+            if isinstance(o, stream.RawlogRangeBearing | stream.RawlogScan)
+        )
         for f in frames
     ]
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
@@ -166,17 +172,17 @@ def _when(ticks: int) -> str:
         return f"{ticks} times 100 ns after 1601"
 
 
-def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Drive:
+def _timed(path: Path, found: Sequence[stream.Movement | stream.RawlogFrame]) -> _Drive:
     """Observations by their own times, with the odometry's poses interpolated there."""
-    moving: dict[int, stream.Odometry] = {}
-    seen: dict[int, list[stream.Record]] = {}
-    every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
+    moving: dict[int, stream.RawlogOdometry] = {}
+    seen: dict[int, list[stream.RawlogRecord]] = {}
+    every = [o for item in found if isinstance(item, stream.RawlogFrame) for o in item.observations]
     for item in every:
         if isinstance(item, stream.Passed):
             continue
         if not item.ticks:
             raise InputError(f"{path}: byte {item.at}: an observation without a time, expected one")
-        if isinstance(item, stream.Odometry):
+        if isinstance(item, stream.RawlogOdometry):
             moving.setdefault(item.ticks, item)
         else:
             seen.setdefault(item.ticks, []).append(item)
@@ -190,7 +196,9 @@ def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Driv
             "least one"
         )
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
-    frames = [stream.Frame(at=seen[tick][0].at, observations=tuple(seen[tick])) for tick in ticks]
+    frames = [
+        stream.RawlogFrame(at=seen[tick][0].at, observations=tuple(seen[tick])) for tick in ticks
+    ]
     provenance = {
         "time_origin": _when(ticks[0]),
         "odometry": f"{len(moving)} CObservationOdometry, {len(ticks) - 1} motions between instants"
@@ -216,7 +224,7 @@ def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
         (time, item)
         for time, frame in zip(drive.time_s, drive.frames, strict=True)
         for item in frame.observations
-        if isinstance(item, stream.Seen) and _measures(item)
+        if isinstance(item, stream.RawlogRangeBearing) and _measures(item)
     ]
     if not found:
         return no_measurements()
@@ -239,7 +247,7 @@ def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
         )
 
 
-def _check_planar(path: Path, item: stream.Seen) -> None:
+def _check_planar(path: Path, item: stream.RawlogRangeBearing) -> None:
     """Measurements must lie in the plane and be seen from the robot's own pose."""
     place = f"{path}: byte {item.at}: CObservationBearingRange"
     pitch = item.polar[:, 2]
@@ -262,7 +270,7 @@ def _scans(path: Path, drive: _Drive) -> tuple[Scans | None, dict[str, str]]:
     groups: list[_Scanner] = []
     count = 0
     for time, frame in zip(drive.time_s, drive.frames, strict=True):
-        sweeps = [item for item in frame.observations if isinstance(item, stream.Sweep)]
+        sweeps = [item for item in frame.observations if isinstance(item, stream.RawlogScan)]
         count += len(sweeps)
         for item in sweeps:
             if not any(group.take(float(time), item) for group in groups):
@@ -302,11 +310,11 @@ def _scans(path: Path, drive: _Drive) -> tuple[Scans | None, dict[str, str]]:
 class _Scanner:
     """Scans of one label, place and row of beams, at most one a frame."""
 
-    def __init__(self, time_s: float, first: stream.Sweep) -> None:
+    def __init__(self, time_s: float, first: stream.RawlogScan) -> None:
         self.grid, self.sweeps = BeamGrid(first.angle_rad), [(time_s, first)]
         self._kind = _label_and_place(first)
 
-    def take(self, time_s: float, item: stream.Sweep) -> bool:
+    def take(self, time_s: float, item: stream.RawlogScan) -> bool:
         """Add a scan, unless it is of another scanner or repeats the time of the last one."""
         if _label_and_place(item) != self._kind or not self.grid.take(item.angle_rad):
             return False
@@ -315,7 +323,7 @@ class _Scanner:
         return True
 
 
-def _label_and_place(item: stream.Sweep) -> tuple[object, ...]:
+def _label_and_place(item: stream.RawlogScan) -> tuple[object, ...]:
     return item.label, tuple(np.round(item.sensor[:3].ravel(), 3).tolist())
 
 

@@ -44,7 +44,7 @@ _GAUSSIAN, _THRUN = 0, 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
+class RawlogRecord:
     """Anything with a place in the stream. at: its first byte. ticks: its time in 100 ns, or 0."""
 
     at: int
@@ -52,7 +52,7 @@ class Record:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Movement(Record):
+class Movement(RawlogRecord):
     """CActionRobotMovement2D. displacement: (3,). covariance: (3, 3) in the arriving frame."""
 
     displacement: Array
@@ -60,7 +60,7 @@ class Movement(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen(Record):
+class RawlogRangeBearing(RawlogRecord):
     """CObservationBearingRange. sensor: (4, 4) its place on the robot.
 
     sigma: range [m], yaw and pitch [rad]. polar: (M, 3) the same of each measurement. landmark:
@@ -74,7 +74,7 @@ class Seen(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sweep(Record):
+class RawlogScan(RawlogRecord):
     """CObservation2DRangeScan. sensor: (4, 4). angle, range, intensity: (B,), NaN for none."""
 
     sensor: Array
@@ -85,24 +85,24 @@ class Sweep(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Odometry(Record):
+class RawlogOdometry(RawlogRecord):
     """CObservationOdometry. pose: (3,) since the odometry's own start."""
 
     pose: Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class Passed(Record):
+class Passed(RawlogRecord):
     """An observation that no estimator here uses. name: its class."""
 
     name: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame(Record):
+class RawlogFrame(RawlogRecord):
     """CSensoryFrame: observations of one instant, or one at top level."""
 
-    observations: tuple[Record, ...]
+    observations: tuple[RawlogRecord, ...]
 
 
 def is_rawlog(path: Path) -> bool:
@@ -120,7 +120,7 @@ def is_rawlog(path: Path) -> bool:
     return length > 0 and _NAME.match(start[1 : 1 + length]) is not None
 
 
-def records(path: Path) -> Iterator[Movement | Frame]:
+def records(path: Path) -> Iterator[Movement | RawlogFrame]:
     """What the file holds, in its order. Raises InputError naming the (unpacked) byte at fault."""
     with reading(path):
         stream = _Stream(path, _unpacked(path))
@@ -159,16 +159,16 @@ class _Stream:
     def __init__(self, path: Path, data: bytes) -> None:
         self.path, self.data, self.at, self.objects = path, data, 0, 0
 
-    def top(self) -> Iterator[Movement | Frame]:
+    def top(self) -> Iterator[Movement | RawlogFrame]:
         """One object at top level."""
         start = self.at
         found = self.read({**_GROUPS, **_OBSERVATIONS})
         if isinstance(found, tuple):
             yield from found
-        elif isinstance(found, Frame):
+        elif isinstance(found, RawlogFrame):
             yield found
         else:
-            yield Frame(at=start, observations=(found,))
+            yield RawlogFrame(at=start, observations=(found,))
 
     def read(self, known: dict[str, _Known]) -> Any:
         """One object of a known class."""
@@ -344,12 +344,14 @@ def _actions(stream: _Stream, start: int, version: int) -> tuple[Movement, ...]:
     return tuple(stream.read(_MOVEMENTS) for _ in range(stream.number("I")))
 
 
-def _frame(stream: _Stream, start: int, version: int) -> Frame:
+def _frame(stream: _Stream, start: int, version: int) -> RawlogFrame:
     count = stream.number("I")
-    return Frame(at=start, observations=tuple(stream.read(_OBSERVATIONS) for _ in range(count)))
+    return RawlogFrame(
+        at=start, observations=tuple(stream.read(_OBSERVATIONS) for _ in range(count))
+    )
 
 
-def _bearing_range(stream: _Stream, start: int, version: int) -> Seen:
+def _bearing_range(stream: _Stream, start: int, version: int) -> RawlogRangeBearing:
     """Least and most range, fields of view, place, time, sigmas, measurements, label."""
     stream.numbers("4f")
     sensor, ticks = stream.read(_POSES_3D), stream.number("Q")
@@ -366,10 +368,12 @@ def _bearing_range(stream: _Stream, start: int, version: int) -> Seen:
     stream.at = behind
     polar = np.reshape(stream.floats(4 * count), (count, 4))[:, :3]
     stream.text()
-    return Seen(at=start, ticks=ticks, sensor=sensor, sigma=sigma, polar=polar, landmark=ids)
+    return RawlogRangeBearing(
+        at=start, ticks=ticks, sensor=sensor, sigma=sigma, polar=polar, landmark=ids
+    )
 
 
-def _sweep(stream: _Stream, start: int, version: int) -> Sweep:
+def _sweep(stream: _Stream, start: int, version: int) -> RawlogScan:
     """Field of view, sense, maximum, place, ranges, which are valid, ..., time, ..., label, ..."""
     view, anticlockwise, maximum_m = stream.numbers("f?f")
     sensor = stream.read(_POSES_3D)
@@ -390,7 +394,7 @@ def _sweep(stream: _Stream, start: int, version: int) -> Sweep:
         )
     angle = np.linspace(-0.5 * view, 0.5 * view, count) * (1 if anticlockwise else -1)
     measured = valid & (ranges > 0) & (ranges < maximum_m)
-    return Sweep(
+    return RawlogScan(
         at=start,
         ticks=ticks,
         sensor=sensor,
@@ -401,7 +405,7 @@ def _sweep(stream: _Stream, start: int, version: int) -> Sweep:
     )
 
 
-def _odometry(stream: _Stream, start: int, version: int) -> Odometry:
+def _odometry(stream: _Stream, start: int, version: int) -> RawlogOdometry:
     """Pose, label, time, ticks of encoders and velocities where there are any."""
     pose = stream.read(_POSES_2D)
     stream.text()
@@ -410,7 +414,7 @@ def _odometry(stream: _Stream, start: int, version: int) -> Odometry:
         stream.numbers("2i")
     if stream.number("B"):
         stream.numbers("3d" if version > 1 else "2f")
-    return Odometry(at=start, ticks=ticks, pose=pose)
+    return RawlogOdometry(at=start, ticks=ticks, pose=pose)
 
 
 def _beacons(stream: _Stream, start: int, version: int) -> Passed:

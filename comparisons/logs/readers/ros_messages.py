@@ -20,7 +20,7 @@ _TURN = 2 * np.pi + 0.1
 
 
 @dataclass(frozen=True)
-class Sweep:
+class LaserScanMessage:
     """One LaserScan. angle_rad, range_m (NaN for no return), intensity: (B,). beam_s: a beam's."""
 
     angle_rad: Array
@@ -40,7 +40,7 @@ def frame(name: str) -> str:
     return str(name).lstrip("/")
 
 
-def sweep(message: Any, place: str) -> Sweep:
+def sweep(message: Any, place: str) -> LaserScanMessage:
     """A LaserScan; ranges outside range_min to range_max are no returns, as its definition says."""
     values = {
         name: float(getattr(message, name))
@@ -66,7 +66,7 @@ def sweep(message: Any, place: str) -> Sweep:
         raise InputError(f"{place}: {len(intensity)} intensities, expected 0 or {count}")
     with np.errstate(invalid="ignore"):
         good = np.isfinite(ranges) & (ranges >= least) & (ranges <= most) & (ranges > 0)
-    return Sweep(
+    return LaserScanMessage(
         first + step * np.arange(count, dtype=np.float64),
         np.where(good & (ranges <= LARGEST), ranges, np.nan),
         np.where(np.isfinite(intensity), intensity, 0.0) if len(intensity) else np.zeros(count),

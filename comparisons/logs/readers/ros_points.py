@@ -26,7 +26,7 @@ _SLOTS = ("z", "roll", "pitch")
 
 
 @dataclass(frozen=True)
-class Points:
+class MessagePoints:
     """What one message holds. point_m: (P, 3) in its frame. covariance: (P, 3, 3), NaN for none.
 
     label: of each point, "" for none; kind: what it is taken for, which may tell it from others.
@@ -38,7 +38,7 @@ class Points:
     kind: list[str]
 
 
-def markers(message: Any, place: str) -> Points | None:
+def markers(message: Any, place: str) -> MessagePoints | None:
     """A MarkerArray's cubes, spheres and cylinders, named by name space and number."""
     found = [m for m in message.markers if int(m.action) == _ADD and int(m.type) in _SOLID]
     frames = list(dict.fromkeys(frame(m.header.frame_id) for m in found))
@@ -50,7 +50,7 @@ def markers(message: Any, place: str) -> Points | None:
     return _points(points, [np.full((3, 3), np.nan)] * len(found), label, [""] * len(found), place)
 
 
-def detections(message: Any, place: str) -> Points | None:
+def detections(message: Any, place: str) -> MessagePoints | None:
     """A Detection3DArray, or a Detection2DArray whose results have poses.
 
     The best result's position where it is not zero, else the box's centre. Named by the
@@ -76,13 +76,13 @@ def detections(message: Any, place: str) -> Points | None:
 
 def _points(
     points: list[Array], covariances: list[Array], label: list[str], kind: list[str], place: str
-) -> Points | None:
+) -> MessagePoints | None:
     if not points:
         return None
     stacked = np.array(points)
     if not (np.abs(stacked) <= LARGEST).all():
         raise InputError(f"{place}: a position is not finite, expected at most {LARGEST:g}")
-    return Points(stacked, np.array(covariances), label, kind)
+    return MessagePoints(stacked, np.array(covariances), label, kind)
 
 
 def _point(value: Any) -> Array:
@@ -103,7 +103,7 @@ def headed(message: Any) -> Any:
     return message.markers[0] if hasattr(message, "markers") else message
 
 
-def range_bearing(points: Points, place: Array) -> tuple[Array, Array]:
+def range_bearing(points: MessagePoints, place: Array) -> tuple[Array, Array]:
     """(P, 2) range and bearing in the vehicle's plane, and their sigmas (P, 2), NaN for none.
 
     place: (4, 4) from the points' frame into the vehicle's. Height is dropped.
@@ -180,7 +180,7 @@ def slots_fault(covariance: Array) -> str:
     return ""
 
 
-def labels_of(messages: list[Points]) -> tuple[list[str], NDArray[np.intp]]:
+def labels_of(messages: list[MessagePoints]) -> tuple[list[str], NDArray[np.intp]]:
     """Labels of all points, and (P,) the message that each is of.
 
     A class names a landmark where no message holds it twice: so it is of numbered tags, while

@@ -31,7 +31,14 @@ from comparisons.logs.odometry_noise import reckoned_motion
 from comparisons.logs.readers import ros_bag, ros_points
 from comparisons.logs.readers.beams import BeamGrid
 from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
-from comparisons.logs.readers.ros_messages import Sweep, cloud, frame, rigid_motion, stamp_ns, sweep
+from comparisons.logs.readers.ros_messages import (
+    LaserScanMessage,
+    cloud,
+    frame,
+    rigid_motion,
+    stamp_ns,
+    sweep,
+)
 from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Clouds, Mount, Scans
 
@@ -287,7 +294,7 @@ def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> 
 def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
     """Points as ranges and bearings from the pose, with labels as whole numbers."""
     place = where.place(stream, "measurements_mount")
-    messages: list[ros_points.Points] = stream.items
+    messages: list[ros_points.MessagePoints] = stream.items
     with naming(stream.topic.name):
         found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
     z, sigmas = np.concatenate(found), np.concatenate(sigma)
@@ -411,7 +418,7 @@ def _scan_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None
     grids: list[BeamGrid] = []
     before: list[Array] = []
 
-    def convert(message: Any, place: str) -> Sweep:
+    def convert(message: Any, place: str) -> LaserScanMessage:
         found = sweep(message, place)
         angle = found.angle_rad
         if not grids:
@@ -438,7 +445,7 @@ def _scan_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None
     return replace(stream, items=items)
 
 
-def _filled(grid: BeamGrid, found: Sweep) -> Sweep:
+def _filled(grid: BeamGrid, found: LaserScanMessage) -> LaserScanMessage:
     """A sweep with all beams of the grid."""
     if len(found.angle_rad) == len(grid.angle_rad):
         return found
@@ -502,7 +509,7 @@ def _scans(stream: _Stream, where: _Frame) -> Scans:
         raise InputError(
             f"{stream.topic.name}: mounted at a tilt of {tilt:.1f} degrees, expected at most 5"
         )
-    sweeps: list[Sweep] = stream.items
+    sweeps: list[LaserScanMessage] = stream.items
     heading = np.arctan2(place[1, 0], place[0, 0])
     return Scans(
         time_s=where.seconds(stream),

@@ -12,7 +12,7 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
-from comparisons.logs.table import Table
+from comparisons.logs.table import TextTable
 
 UTE = Ackermann(wheelbase_m=2.83, encoder_offset_m=0.76, sensor_forward_m=3.78, sensor_left_m=0.5)
 """The vehicle of Nieto 2005, Appendix A."""
@@ -35,8 +35,8 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path) -> Log:
     """Read the folder. Raises InputError naming file, line, value and expectation."""
-    seen = Table(path / "measurements.dat", ("time", "range", "bearing", "diameter"))
-    inputs = Table(path / "inputs.dat", ("time", "speed", "steering"))
+    seen = TextTable(path / "measurements.dat", ("time", "range", "bearing", "diameter"))
+    inputs = TextTable(path / "inputs.dat", ("time", "speed", "steering"))
     for table in (seen, inputs):
         if not len(table):
             raise InputError(f"{table.path}: holds no records")
@@ -52,7 +52,7 @@ def read(path: Path) -> Log:
         )
     positions = None
     if (path / "gps.dat").is_file():
-        gps = Table(path / "gps.dat", ("time", "x", "y"))
+        gps = TextTable(path / "gps.dat", ("time", "x", "y"))
         covariance = np.broadcast_to(SIGMA_GPS_M**2 * np.eye(2), (len(gps), 2, 2))
         with gps.locating():
             positions = Positions(gps["time"], gps.data[:, 1:], covariance)

@@ -17,7 +17,7 @@ from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Pr
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.simulate.ray_casting import blocks
-from comparisons.logs.simulate.worlds import World, nieto_loop
+from comparisons.logs.simulate.worlds import LandmarkWorld, nieto_loop
 
 PAIRS = 2_000_000
 """Pairs of a scan and a landmark whose distances are held in memory at once."""
@@ -60,7 +60,7 @@ class Drive:
 
 
 def simulate(
-    rng: np.random.Generator, drive: Drive | None = None, world: World | None = None
+    rng: np.random.Generator, drive: Drive | None = None, world: LandmarkWorld | None = None
 ) -> Log:
     """One simulated log with truth. The same generator state gives the same log."""
     drive, world = drive or Drive(), world or nieto_loop()
@@ -83,7 +83,7 @@ def simulate(
     )
 
 
-def true_drive(drive: Drive, world: World) -> tuple[Array, Array, Array]:
+def true_drive(drive: Drive, world: LandmarkWorld) -> tuple[Array, Array, Array]:
     """Times (N + 1,), true controls (N, 2) and true poses (N + 1, 3) of the laser."""
     count = round((drive.loops * drive.loop_s + drive.extra_s) / drive.sample_s)
     time: Array = drive.sample_s * np.arange(float(count + 1))

@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.logs.log import Surfaces
 from comparisons.logs.simulate.polygons import sides
 from comparisons.logs.simulate.ray_casting import Solids
-from comparisons.logs.simulate.worlds import World
+from comparisons.logs.simulate.worlds import LandmarkWorld
 
 MORE_LANDMARKS = 80
 """So many are added among and behind the objects; the number is ours."""
@@ -68,7 +68,7 @@ class Mover:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanWorld(World):
+class ScanWorld(LandmarkWorld):
     """A closed path (P, 2) among things that a scanner sees, and landmarks (L, 2), maybe none.
 
     outline: closed polygons (K, 2), the first corner not repeated, and their heights (O,).

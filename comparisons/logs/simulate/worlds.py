@@ -10,7 +10,7 @@ from comparisons.arrays import Array
 
 
 @dataclass(frozen=True)
-class World:
+class LandmarkWorld:
     """A closed path among point landmarks.
 
     path: (P, 2) points of the loop, close together, in driving order, the first not repeated.
@@ -21,7 +21,7 @@ class World:
     landmark: Array
 
 
-def nieto_loop() -> World:
+def nieto_loop() -> LandmarkWorld:
     """The environment of Nieto 2005, section 2.9: 100 m x 80 m, one loop of 255 m.
 
     The thesis shows the map in a figure only, so the places are ours: an ellipse driven
@@ -41,4 +41,4 @@ def nieto_loop() -> World:
         outward = np.column_stack((aspect * np.cos(turn), np.sin(turn)))
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         rings.append(radial + offset * outward)
-    return World(half_axis * unit, np.vstack(rings))
+    return LandmarkWorld(half_axis * unit, np.vstack(rings))

@@ -30,7 +30,7 @@ from comparisons.report.figures.style import (
     plot_trajectory,
 )
 from comparisons.report.job import report_of
-from comparisons.report.ladder import Step
+from comparisons.report.ladder import LadderStep
 from comparisons.report.marks import (
     DEPARTURE,
     DEPARTURE_COLOUR,
@@ -140,7 +140,7 @@ def plot_ladder(result: Comparison | ExternalCheck, axis: Axes | None = None) ->
     return axis
 
 
-def _draw_step(axis: Axes, row: int, step: Step) -> None:
+def _draw_step(axis: Axes, row: int, step: LadderStep) -> None:
     colour = _STATES[step.state]
     if step.covariance is not None:
         x = max(step.covariance, _NOTHING)

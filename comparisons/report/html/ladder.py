@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from comparisons.report.ladder import Step
+from comparisons.report.ladder import LadderStep
 
 _WIDTH, _BOX, _GAP, _AXIS = 360, 26, 62, 42
 _RAIL, _TEXT, _SHIFT = 15, 36, 14
@@ -25,7 +25,7 @@ _MARK = {"passes": "M-4,0l3,3.2l5.4,-6.2", "fails": "M-3.4,-3.4l6.8,6.8m0,-6.8l-
          "not judged": "M-3.6,0h7.2"}  # fmt: skip
 
 
-def ladder_picture(steps: Sequence[Step]) -> str:
+def ladder_picture(steps: Sequence[LadderStep]) -> str:
     """Return the picture as SVG, with the same in words for those who cannot see it."""
     if not steps:
         return ""
@@ -58,13 +58,13 @@ def _box(name: str, y: int, aside: int = 0) -> str:
     )
 
 
-def _rail(step: Step, start: int, y: int, aside: int) -> str:
+def _rail(step: LadderStep, start: int, y: int, aside: int) -> str:
     """The line from an estimate's box, which ends at start, down to the box of the next."""
     turn = f"V{y + 17}h{aside}" if aside else ""
     return f'<path class="rail {_kind(step)}" d="M{_RAIL},{start}{turn}V{y + _GAP}"/>'
 
 
-def _gap(step: Step, y: int, aside: int) -> str:
+def _gap(step: LadderStep, y: int, aside: int) -> str:
     """Name, outcome and sizes, and below these where they lie on the scale."""
     kind, track = _kind(step), y + 48
     marks = [f'<path class="track" d="M{_LEFT},{track}H{_RIGHT}"/>']
@@ -109,15 +109,15 @@ def _axis(y: int) -> str:
     )
 
 
-def _kind(step: Step) -> str:
+def _kind(step: LadderStep) -> str:
     return step.state.replace(" ", "-")
 
 
-def _name(step: Step) -> str:
+def _name(step: LadderStep) -> str:
     return _NAMES.get(step.gap, f"{step.gap.capitalize()} gap")
 
 
-def _sizes(step: Step) -> str:
+def _sizes(step: LadderStep) -> str:
     parts = [step.mean if step.mean != "unknown" else "unknown: needs the joint covariance"]
     if step.covariance is not None:
         parts.append(f"{step.covariance:.2g} in covariance")

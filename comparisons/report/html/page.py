@@ -19,7 +19,7 @@ from comparisons.words import SETTINGS, SPENT, Row, cause_name, facts
 if TYPE_CHECKING:
     from comparisons.report.html.map import MapContent
     from comparisons.report.html.tables import LandmarkRow
-    from comparisons.report.ladder import Step
+    from comparisons.report.ladder import LadderStep
     from comparisons.report.settings import SettingLine
     from comparisons.report.terminal import Summary
     from comparisons.words import Cause
@@ -50,7 +50,7 @@ class PageContent:
     words: str = ""
     causes: Sequence[Cause] = ()
     reasons: Sequence[str] = ()
-    steps: Sequence[Step] = ()
+    steps: Sequence[LadderStep] = ()
     notes: Sequence[str] = ()
     facts: Sequence[tuple[str, str]] = ()
     remarks: Sequence[str] = ()

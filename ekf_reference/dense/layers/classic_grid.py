@@ -12,7 +12,7 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
-from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.layer import LayerSamples
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
 
@@ -64,7 +64,7 @@ class ClassicGrid:
         self.update.add(odds, change)
         self._odds[row] = odds
 
-    def samples(self) -> Samples:
+    def samples(self) -> LayerSamples:
         """The centres of all cells that were ever seen; they lie in no region, -1."""
         point, occupancy = [np.empty((0, 2))], [np.empty(0)]
         blocks = self._odds.reshape(-1, _ALONG, _ALONG, _BLOCK, _BLOCK)
@@ -75,7 +75,9 @@ class ClassicGrid:
             point.append(self._corner(np.array(tile)) + center[seen])
             occupancy.append(probability(odds[seen].astype(float)))
         places = np.concatenate(point)
-        return Samples(places, np.concatenate(occupancy), np.full(len(places), -1, dtype=np.intp))
+        return LayerSamples(
+            places, np.concatenate(occupancy), np.full(len(places), -1, dtype=np.intp)
+        )
 
     @property
     def _around(self) -> Array:

@@ -36,7 +36,7 @@ class Hits:
     late: tuple[LateScan, ...] = ()
 
 
-class Samples(NamedTuple):
+class LayerSamples(NamedTuple):
     """What a layer holds, in the world.
 
     point: (N, 2) [m]. occupancy: (N,) from 0, free, to 1. region: (N,).
@@ -46,9 +46,9 @@ class Samples(NamedTuple):
     occupancy: Array
     region: Index
 
-    def chosen(self, rows: Index | NDArray[np.bool_]) -> Samples:
+    def chosen(self, rows: Index | NDArray[np.bool_]) -> LayerSamples:
         """Some of them. rows: numbers, or a mask (N,)."""
-        return Samples(self.point[rows], self.occupancy[rows], self.region[rows])
+        return LayerSamples(self.point[rows], self.occupancy[rows], self.region[rows])
 
 
 class Layer(Protocol):
@@ -65,7 +65,7 @@ class Layer(Protocol):
         hits.late has. near: (r,) regions that the scan may speak about.
         """
 
-    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> LayerSamples:
         """All that the layer holds, or what it holds in distinct regions (r,)."""
 
     def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:

@@ -7,11 +7,10 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
-from ekf_reference.dense.layers.layer import Hits, Samples
+from ekf_reference.dense.layers.layer import Hits, LayerSamples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from ekf_reference.dense.triangles import determinant
 
 _WITHIN = 1e-9
 """Sum of local coordinates, short of one, that still lies in the last cell."""
@@ -168,7 +167,7 @@ class OccupancyGrid:
             chosen.append(np.concatenate([_NONE, *(grid.block[k] for k in few)]))
         return chosen
 
-    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> LayerSamples:
         """The centres of all cells that were ever seen."""
         wanted = sorted(self.grids) if regions is None else regions.tolist()
         point, occupancy, region = [np.empty((0, 2))], [np.empty(0)], [np.empty(0, dtype=np.intp)]
@@ -180,7 +179,9 @@ class OccupancyGrid:
                 point.append((frames[number] @ grid.weight[:, seen]).T)
                 occupancy.append(probability(grid.odds[seen].astype(float)))
                 region.append(np.full(len(seen), number, dtype=np.intp))
-        return Samples(np.concatenate(point), np.concatenate(occupancy), np.concatenate(region))
+        return LayerSamples(
+            np.concatenate(point), np.concatenate(occupancy), np.concatenate(region)
+        )
 
     def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """P(occupied) of the cells that points (N, 2) lie in."""
@@ -193,17 +194,6 @@ class OccupancyGrid:
                 odds = grid.odds[grid.cell(found.local[rows])].astype(float)
                 result[rows] = np.where(odds == 0.0, np.nan, probability(odds))
         return result
-
-    def cell_area(self, placed: RegionsAtMap) -> Array:
-        """(R,) area [m^2] of a cell of each region, NaN where there is no grid.
-
-        Cells lie along two edges of a triangle, so they differ from region to region, and few have
-        the area of a square of the resolution.
-        """
-        area, doubled = np.full(len(placed.triangle), np.nan), np.abs(determinant(placed.triangle))
-        for region, grid in self.grids.items():
-            area[region] = doubled[region] / np.prod(grid.cells)
-        return area
 
     def _grid(self, region: int, placed: RegionsAtMap) -> RegionGrid:
         grid = self.grids.get(region)

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.layers.layer import Hits, Samples, in_world
-from ekf_reference.dense.region_store import RegionStore, Rows
+from ekf_reference.dense.layers.layer import Hits, LayerSamples, in_world
+from ekf_reference.dense.region_store import RegionRows, RegionStore
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import is_degenerate
@@ -29,10 +29,10 @@ class PointLayer:
         """Number of points."""
         return len(self._store)
 
-    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> LayerSamples:
         """All points, or those in distinct regions (r,)."""
         region, value = self._store.gather(regions)
-        return Samples(in_world(placed, region, value[:, :2]), self._occupied(value), region)
+        return LayerSamples(in_world(placed, region, value[:, :2]), self._occupied(value), region)
 
     def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) occupancy of the nearest sample within reach, NaN where there is none.
@@ -54,13 +54,13 @@ class PointLayer:
         """(N,) occupancy of rows (N, w): returns are occupied for certain."""
         return np.ones(len(value))
 
-    def _placed(self, placed: RegionsAtMap, regions: Index) -> tuple[Rows, Array]:
+    def _placed(self, placed: RegionsAtMap, regions: Index) -> tuple[RegionRows, Array]:
         """The rows of those of some regions (r,) that have an area now, and their points (n, 2)."""
         rows = self._store.gather(regions[~is_degenerate(placed.triangle[regions])])
         return rows, in_world(placed, rows.region, rows.value[:, :2])
 
 
-class Points(PointLayer):
+class AllReturns(PointLayer):
     """Keeps every return; a return says nothing about free space."""
 
     def __init__(self, resolution_m: float = 0.2) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
 from comparisons.audit import algebra
-from comparisons.audit.algebra import AlgebraCheck, Finding, faults_of
+from comparisons.audit.algebra import AlgebraCheck, AuditFinding, faults_of
 from comparisons.audit.audit import Audit, audit
 from comparisons.audit.faults import PLAIN, digits, number_text
 from comparisons.audit.own_filter import run_events
@@ -23,7 +23,7 @@ from comparisons.faults.catalogue import NAMED
 from comparisons.jobs.check import ExternalCheck, check_external
 from comparisons.jobs.run import Comparison, Modified, repeat_filter
 from comparisons.pipeline.solve import solve
-from comparisons.trace.events import Event, Predict, Prior, Snapshot, Update
+from comparisons.trace.events import Event, Predict, Snapshot, TracePrior, Update
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.audit.test_own_filter import CASES, same
 from tests.helpers import compared, present, simulated
@@ -163,7 +163,7 @@ H = np.array([[1.0, 0.2], [0.0, 1.0]])
 R = np.array([[0.5, 0.1], [0.1, 0.4]])
 MOVE = Predict(1, None, ("place", "speed"), F, Q)
 MEASURE = Update(2, None, "gps", ("place",), np.array([0.5, -0.3]), H, R, True, None, None)
-BEGIN = Prior(0, None, BLOCKS, DIMS, P)
+BEGIN = TracePrior(0, None, BLOCKS, DIMS, P)
 
 
 def predicted(p: Array, f: Array = F, q: Array = Q) -> Array:
@@ -293,8 +293,8 @@ def test_an_events_own_fault_goes_first_and_a_slight_one_last() -> None:
         ("later", "algebra", 4, 0.0),
         ("of an event", "algebra", 3, 0.0),
     ):
-        check.add(Finding(name, True, text, event), text, weight)
-    check.add(Finding("gain", False, "no fault", 1), "gain")
+        check.add(AuditFinding(name, True, text, event), text, weight)
+    check.add(AuditFinding("gain", False, "no fault", 1), "gain")
     order = ["of an event", "later", "far off", "slight", "no fault"]
     assert [one.text for one in check.findings()] == order
 
@@ -376,7 +376,7 @@ def test_the_one_before_of_the_second_event_is_the_first_of_the_third() -> None:
     check = checked()
     for event, which in ((5, "update before"), (7, "first update"), (9, "first update")):
         text = f"the H of the {which} was used"
-        check._add_cause(Finding("algebra", True, text, event), text, 0.0)
+        check._add_cause(AuditFinding("algebra", True, text, event), text, 0.0)
     (found,) = check.findings()
     assert found.text == "the H of the first update was used; and 2 more"
 

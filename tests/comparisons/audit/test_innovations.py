@@ -13,7 +13,7 @@ from comparisons.audit.audit import audit
 from comparisons.audit.consistency import (
     Anchors,
     BlockErrors,
-    Departure,
+    ConsistencyDeparture,
     EventInnovations,
     _gating,
     _Turned,
@@ -21,10 +21,10 @@ from comparisons.audit.consistency import (
     departures,
     first_error,
 )
-from comparisons.audit.replay import Layout
+from comparisons.audit.replay import BlockLayout
 from comparisons.innovations import InnovationLog, SensorInnovations, _lengthened
 from comparisons.statistics import onset, rarity, stretch
-from comparisons.trace.events import Augment, Sensor, Snapshot, Update
+from comparisons.trace.events import Augment, SensorDescription, Snapshot, Update
 from comparisons.trace.recorder import Recorder
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import Link
@@ -37,12 +37,12 @@ LEVEL = 1e-3
 def figures(
     white: Array, used: NDArray[np.bool_] | None = None, gate: float | None = None
 ) -> SensorInnovations:
-    return drawn_sensor(Sensor(gate, ("range", "bearing")), white, used=used)
+    return drawn_sensor(SensorDescription(gate, ("range", "bearing")), white, used=used)
 
 
 def departed(
     white: Array, used: NDArray[np.bool_] | None = None, gate: float | None = None
-) -> list[Departure]:
+) -> list[ConsistencyDeparture]:
     return departures(figures(white, used, gate), LEVEL)
 
 
@@ -169,7 +169,7 @@ def test_what_is_correlated_at_many_lags_weighs_more() -> None:
 
 def errors_of(squared: Array) -> BlockErrors:
     """Of a state of two numbers in one block, an event each tenth of a second."""
-    layout = Layout(("pose",), (2,))
+    layout = BlockLayout(("pose",), (2,))
     found = BlockErrors(layout)
     for number, value in enumerate(squared.tolist()):
         e = np.sqrt([value, 0.0])
@@ -201,7 +201,7 @@ def test_a_stretch_departs_beyond_its_share_of_the_level() -> None:
 
 def test_a_first_error_weighs_what_it_is_rare_by() -> None:
     """Of one number, or of two; the rarer one is told."""
-    layout = Layout(("place", "bias"), (2, 1))
+    layout = BlockLayout(("place", "bias"), (2, 1))
     error = np.array([4.0, 4.0, 5.0])
     found = first_error(layout, np.eye(3), error, np.zeros((3, 3)), LEVEL)
     assert found is not None
@@ -214,7 +214,7 @@ def test_a_first_error_weighs_what_it_is_rare_by() -> None:
 
 def test_a_measurement_is_of_the_landmark_that_its_rows_touch() -> None:
     """Of two stacked ones each is of its own; one of two landmarks, or of none, is of neither."""
-    log, layout = EventInnovations({}), Layout(("pose", "a", "b"), (3, 2, 2))
+    log, layout = EventInnovations({}), BlockLayout(("pose", "a", "b"), (3, 2, 2))
     for number, name in enumerate(("a", "b")):
         g, noise = np.zeros((2, 3)), np.eye(2)
         log.begin(Augment(1, None, name, ("pose",), g, noise, noise, numbers=np.array([number])))
@@ -254,7 +254,7 @@ def test_vectors_of_different_length_are_judged_together() -> None:
 
 def test_a_stacked_event_is_as_many_measurements() -> None:
     """Further parts of one, and those that initialised a landmark, are left out."""
-    log, z = InnovationLog("radar", Sensor(None, ("range", "bearing"))), white(3, 7)
+    log, z = InnovationLog("radar", SensorDescription(None, ("range", "bearing"))), white(3, 7)
     for named in ([0, 1, 2], [1], [3, 4, 5]):
         numbers = np.array(named, dtype=float)
         landmarks = np.arange(len(numbers))
@@ -337,9 +337,9 @@ def test_rarity_bounds_the_chance(ratio: float) -> None:
     assert rarity(6e4, 100.0) > rarity(50.0, 100.0) > rarity(0.1, 100.0)
 
 
-def gate_of(rejected: NDArray[np.bool_], gate: float | None) -> list[Departure]:
+def gate_of(rejected: NDArray[np.bool_], gate: float | None) -> list[ConsistencyDeparture]:
     time_s: Array = 0.1 * np.arange(len(rejected), dtype=np.float64)
-    sensor = Sensor(gate, ("range", "bearing"))
+    sensor = SensorDescription(gate, ("range", "bearing"))
     drawn = drawn_sensor(sensor, white(len(rejected), 8), time_s, used=~rejected)
     return _gating(drawn.gating, LEVEL)
 

@@ -13,8 +13,16 @@ from comparisons.audit.run_trace import write_event, write_run
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.jobs.run import Comparison
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.trace.events import Augment, Directions, Event, Prior, Remove, Snapshot, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.events import (
+    Augment,
+    Directions,
+    Event,
+    Remove,
+    Snapshot,
+    TracePrior,
+    Update,
+)
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT
 from tests.comparisons.audit.test_spurious import by_definition
@@ -162,10 +170,10 @@ def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
     for number, c in enumerate((sound(), framed())):
         place = tmp_path / f"{number}.trace"
         write_run(c.ekf, place)
-        for one, other in zip(run_events(c.ekf), Trace(place), strict=True):
+        for one, other in zip(run_events(c.ekf), TraceReader(place), strict=True):
             assert type(one) is type(other)
             assert all(map(same, one, other))
-        found = present(learnt(Trace(place)))
+        found = present(learnt(TraceReader(place)))
         assert np.array_equal(found.information, all_learnt(c).information)
 
 
@@ -174,7 +182,7 @@ def test_a_correction_is_written_where_there_is_one(
     tmp_path: Path, correction: Array | None
 ) -> None:
     one, numbers = np.eye(2), np.zeros(1)
-    prior = Prior(0, None, ("place",), (2,), one, np.zeros(2), ())
+    prior = TracePrior(0, None, ("place",), (2,), one, np.zeros(2), ())
     measured = Update(
         1,
         None,
@@ -192,7 +200,7 @@ def test_a_correction_is_written_where_there_is_one(
     with Recorder(tmp_path / "run.trace") as record:
         for event in (prior, measured):
             write_event(event, record)
-    (_, read) = Trace(tmp_path / "run.trace")
+    (_, read) = TraceReader(tmp_path / "run.trace")
     assert isinstance(read, Update)
     assert same(read.correction, correction)
 

@@ -7,7 +7,7 @@ import pytest
 
 from comparisons.arrays import Array
 from comparisons.audit.replay import Replay, check_gain, largest_pair, noise_factor
-from comparisons.trace.events import Augment, Clone, Predict, Prior, Remove, Reset, Update
+from comparisons.trace.events import Augment, Clone, Predict, Remove, Reset, TracePrior, Update
 
 RNG = np.random.default_rng(0)
 
@@ -19,7 +19,7 @@ def spread(n: int) -> Array:
 
 
 def start() -> Replay:
-    return Replay(Prior(0, None, ("a", "b", "c"), (2, 1, 3), spread(6)))
+    return Replay(TracePrior(0, None, ("a", "b", "c"), (2, 1, 3), spread(6)))
 
 
 def whole(blocks: tuple[str, ...], m: Array) -> Array:
@@ -68,7 +68,7 @@ def test_any_gain_has_josephs_covariance_and_a_lost_correction_shows() -> None:
 
 def test_an_error_that_is_known_is_no_part_of_the_next_innovation() -> None:
     """Two measurements tell of an error of 2 / 3; the first does not correct the estimate."""
-    replay, one = Replay(Prior(0, None, ("a",), (1,), np.eye(1))), np.eye(1)
+    replay, one = Replay(TracePrior(0, None, ("a",), (1,), np.eye(1))), np.eye(1)
     for applied in (0.0, 1.0 / 3.0):
         residual, correction = np.ones(1), np.array([applied])
         fused = replay.update(

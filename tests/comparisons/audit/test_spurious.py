@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from benchmarks.recorded_batch import record
 from comparisons.arrays import Array, Index
-from comparisons.audit.replay import Layout
+from comparisons.audit.replay import BlockLayout
 from comparisons.audit.spurious import (
     MOST_POINTS,
     PARTS,
@@ -19,8 +18,8 @@ from comparisons.audit.spurious import (
     unit_of,
 )
 from comparisons.experiments.montecarlo.runs import FILTERS
-from comparisons.experiments.scenarios.world import World, measure
-from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf
+from comparisons.experiments.scenarios.world import ScenarioWorld, measure
+from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, BatchInvariantEkf
 from comparisons.experiments.variants.batch_state import BatchState
 from comparisons.experiments.variants.linearisation import AtFirstEstimate, MeasuredPoints
 from comparisons.trace.events import (
@@ -29,12 +28,13 @@ from comparisons.trace.events import (
     Directions,
     Event,
     Predict,
-    Prior,
     Remove,
     Reset,
     Snapshot,
+    TracePrior,
     Update,
 )
+from research.recorded_batch import record
 from tests.comparisons.montecarlo.worlds import short_world
 from tests.helpers import present
 
@@ -47,7 +47,7 @@ class Written:
 
     def __init__(self, blocks: dict[str, int], covariance: Array) -> None:
         self.events: list[Event] = [
-            Prior(0, 0.0, tuple(blocks), tuple(blocks.values()), np.asarray(covariance, float))
+            TracePrior(0, 0.0, tuple(blocks), tuple(blocks.values()), np.asarray(covariance, float))
         ]
 
     def _at(self) -> tuple[int, float]:
@@ -159,7 +159,7 @@ class Definition:
     Every block is followed as a function of alpha and of every noise there ever was, its columns.
     """
 
-    def __init__(self, prior: Prior, directions: Directions, noises: int) -> None:
+    def __init__(self, prior: TracePrior, directions: Directions, noises: int) -> None:
         self.d, self.free = directions.basis.shape[1], directions.basis.shape[1]
         self.columns, self.blind = self.d + len(prior.covariance) + noises, directions.blind
         n = np.zeros((len(prior.covariance), self.d))
@@ -209,7 +209,7 @@ class Definition:
 
 def by_definition(events: Sequence[Event]) -> Array:
     prior, directions, *others = events
-    assert isinstance(prior, Prior)
+    assert isinstance(prior, TracePrior)
     assert isinstance(directions, Directions)
     noisy = [e for e in others if isinstance(e, Predict | Augment | Update)]
     model = Definition(prior, directions, sum(len(e.noise) for e in noisy))
@@ -303,7 +303,7 @@ class NothingToOthers(_Whole):
 class PriorKept(_Whole):
     """Broken: the prior tells the directions, too."""
 
-    def __init__(self, layout: Layout, covariance: Array, u: Array) -> None:
+    def __init__(self, layout: BlockLayout, covariance: Array, u: Array) -> None:
         super().__init__(layout, covariance + u @ u.T, u)
 
 
@@ -327,10 +327,10 @@ class NewestLandmarks(AtFirstEstimate):
         return MeasuredPoints(self._before[:, 2], offset)
 
 
-def learnt_on_the_circle(filter_: BatchFilter, place: World) -> Learnt:
+def learnt_on_the_circle(filter_: BatchFilter, place: ScenarioWorld) -> Learnt:
     """What the filter has learnt in the second of two runs."""
     events: list[Event] = []
-    assert isinstance(filter_, BatchEkf | InvariantEkf)
+    assert isinstance(filter_, BatchEkf | BatchInvariantEkf)
     record(filter_, len(place.landmark), {1: events.append})
     data = measure(place, range(2))
     for k, seen in enumerate(place.seen):
@@ -341,11 +341,11 @@ def learnt_on_the_circle(filter_: BatchFilter, place: World) -> Learnt:
 
 
 @pytest.fixture(scope="module")
-def circle() -> World:
+def circle() -> ScenarioWorld:
     return short_world("circle", 300)
 
 
-def test_the_ekf_learns_its_heading_on_the_circle(circle: World) -> None:
+def test_the_ekf_learns_its_heading_on_the_circle(circle: ScenarioWorld) -> None:
     found = learnt_on_the_circle(FILTERS["ekf"](circle, 2), circle)
     east, north, heading = found.directions
     assert east.information == north.information == 0.0
@@ -354,14 +354,14 @@ def test_the_ekf_learns_its_heading_on_the_circle(circle: World) -> None:
 
 
 @pytest.mark.parametrize("name", ["fej", "oc", "riekf", "ideal"])
-def test_consistent_variants_learn_nothing(name: str, circle: World) -> None:
+def test_consistent_variants_learn_nothing(name: str, circle: ScenarioWorld) -> None:
     found = learnt_on_the_circle(FILTERS[name](circle, 2), circle)
     assert [one.information for one in found.directions] == [0.0, 0.0, 0.0]
     assert np.abs(found.information).max() < 1e-20
     assert [one.largest for one in found.directions] == [None, None, None]
 
 
-def test_a_broken_fej_is_found(circle: World) -> None:
+def test_a_broken_fej_is_found(circle: ScenarioWorld) -> None:
     broken = BatchEkf(circle.robot, NewestLandmarks(), 2, len(circle.landmark))
     assert learnt_on_the_circle(broken, circle).directions[2].information > 1.0
 

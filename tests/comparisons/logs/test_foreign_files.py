@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.odometry_drives import travelled
 from comparisons.logs.log import Log
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.readers import read_log
 from comparisons.pipeline.solve import solve
 from comparisons.report.solution import SolutionReport
 from graphslam.g2o import write_g2o
+from research.trust.odometry_drives import travelled
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, everything
 from tests.graphslam.test_g2o import ROWS, TORO, square
 from tests.helpers import compared

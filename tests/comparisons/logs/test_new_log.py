@@ -463,7 +463,7 @@ def test_arrays_that_are_no_columns() -> None:
 
 def test_log_toml_is_its_folder(tmp_path: Path) -> None:
     """Also for a run, which takes any other TOML file for a configuration."""
-    from comparisons.cli.flags import Given
+    from comparisons.cli.flags import Arguments
     from comparisons.cli.jobs import read_job
     from comparisons.config import RunConfig
     from comparisons.logs.log_folder import write_log_folder
@@ -472,8 +472,8 @@ def test_log_toml_is_its_folder(tmp_path: Path) -> None:
     path = tmp_path / "log" / "log.toml"
     assert read_log(path).records == read_log(path.parent).records
 
-    def of(path: Path) -> Given:
-        return Given(str(path), (), None, (), False, None, False, None, {}, {})
+    def of(path: Path) -> Arguments:
+        return Arguments(str(path), (), None, (), False, None, False, None, {}, {})
 
     assert read_job(of(path), RunConfig)[0].records["odometry"] == 3
     config = tmp_path / "other" / "log.toml"

@@ -17,7 +17,7 @@ from comparisons.logs import stamps
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.plain_csv import PlainTable, read_plain
 from comparisons.logs.stamps import after_ns, nanoseconds, seconds_after
-from comparisons.logs.table import Table
+from comparisons.logs.table import TextTable
 
 START = 1_700_000_000
 """Seconds since 1970."""
@@ -148,7 +148,7 @@ def test_decimals_are_subtracted_before_they_are_rounded() -> None:
 
 def test_decimals_of_a_table_are_as_written(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("# time x\n1700000000.123456789 1 # first\n\n1700000001 2\n")
-    table = Table(tmp_path / "a.txt", ("time", "x"))
+    table = TextTable(tmp_path / "a.txt", ("time", "x"))
     assert table.decimals("time") == [Decimal("1700000000.123456789"), Decimal(1700000001)]
 
 

@@ -11,12 +11,12 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.adapters.tree_features import with_tree_features
 from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import EkfConfig
-from comparisons.experiments.reproduction.misono import FilterNavigator, Given
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from ekf_reference.models.range_bearing import RangeBearing
 from graphslam.increments import dead_reckoned
+from research.documents.misono import FilterNavigator, FilterSetting
 from tests.helpers import present
 
 RUN = WaypointRun()
@@ -116,7 +116,7 @@ def test_slam_returns_to_the_base_and_dead_reckoning_does_not(filter_name: str) 
     """M Fig. 6: by its own estimate, with labels and GPS, the robot comes home, else not."""
     ends = {}
     for name in (filter_name, ""):
-        pilot = FilterNavigator(Given(name, aided=True))
+        pilot = FilterNavigator(FilterSetting(name, aided=True))
         ends[name] = end_from_base(simulate(np.random.default_rng(0), RUN, pilot))
         assert np.hypot(*pilot.pose()[:2]) <= RUN.reached_m  # where it believes to be
     assert ends[filter_name] < 1.0

@@ -22,7 +22,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
-from comparisons.experiments.montecarlo.external import Command, EstimatorError, errors_of
+from comparisons.experiments.montecarlo.external import EstimatorError, ExternalProgram, errors_of
 from comparisons.experiments.montecarlo.external import parse_commands as parse
 from comparisons.experiments.montecarlo.folder import write_montecarlo
 from comparisons.experiments.montecarlo.study import (
@@ -207,7 +207,7 @@ def test_a_command_that_hangs_is_ended_with_its_children(tmp_path: Path) -> None
     words = (sys.executable, "-c", body, "{log}", "{out}")
     begin = time.monotonic()
     with pytest.raises(EstimatorError, match="took longer than 1 s"):
-        Command(words, 1.0)(log_of_run(short_world("circle", 5), 0, "x"))
+        ExternalProgram(words, 1.0)(log_of_run(short_world("circle", 5), 0, "x"))
     assert time.monotonic() - begin < 3.0
     time.sleep(3.0)
     assert not mark.exists()

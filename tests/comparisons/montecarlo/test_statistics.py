@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from comparisons.experiments.montecarlo.runs import Records, recorded_steps
+from comparisons.experiments.montecarlo.runs import RunRecords, recorded_steps
 from comparisons.experiments.montecarlo.statistics import (
     anees_band,
     compare_pairs,
@@ -13,13 +13,13 @@ from comparisons.experiments.montecarlo.statistics import (
 )
 
 
-def records(rng: np.random.Generator, runs: int, scale: float = 1.0, steps: int = 40) -> Records:
+def records(rng: np.random.Generator, runs: int, scale: float = 1.0, steps: int = 40) -> RunRecords:
     """Errors that are what they should be, for scale 1."""
     pose, position, heading, landmark = (
         scale * rng.chisquare(dof, (runs, steps)) for dof in (3, 2, 1, 2)
     )
     square = scale * rng.chisquare(1, (runs, steps))
-    return Records(pose, position, heading, landmark, square, square.copy(), square.copy())
+    return RunRecords(pose, position, heading, landmark, square, square.copy(), square.copy())
 
 
 @pytest.mark.parametrize(("runs", "dof"), [(50, 3), (50, 2), (20, 1), (1, 2)])
@@ -42,15 +42,15 @@ def test_places(scale: float, place: str) -> None:
 
 def test_lost_runs_are_counted_and_left_out() -> None:
     whole = records(np.random.default_rng(3), 50)
-    broken = Records(*(r.copy() for r in whole))
+    broken = RunRecords(*(r.copy() for r in whole))
     for figure in broken:
         figure[4, 30:] = np.nan
     figures = figures_of(tally([broken]))
-    rest = figures_of(tally([Records(*(np.delete(r, 4, axis=0) for r in whole))]))
+    rest = figures_of(tally([RunRecords(*(np.delete(r, 4, axis=0) for r in whole))]))
     assert figures.lost == 1
     assert figures.rmse == pytest.approx(rest.rmse)
     assert figures.consistency["pose"].band == anees_band(49, 3)
-    everything = figures_of(tally([Records(*(np.full((3, 5), np.nan) for _ in whole))]))
+    everything = figures_of(tally([RunRecords(*(np.full((3, 5), np.nan) for _ in whole))]))
     assert everything.lost == 3
     assert np.isnan(everything.rmse["position"])
 
@@ -79,7 +79,7 @@ def test_chunks_tally_like_one() -> None:
     for figure in whole:
         figure[:, 0] = np.nan if figure is whole.landmark_nees else figure[:, 0]
         figure[27, 7:] = np.nan
-    parts = [Records(*(r[at] for r in whole)) for at in (slice(0, 20), slice(20, 50))]
+    parts = [RunRecords(*(r[at] for r in whole)) for at in (slice(0, 20), slice(20, 50))]
     one, two = figures_of(tally([whole])), figures_of(tally(parts))
     assert one.lost == two.lost == 1
     assert one.rmse == pytest.approx(two.rmse)

@@ -7,10 +7,10 @@ import pytest
 
 from comparisons.adapters.filter_variants import FirstEstimatesEkf, InvariantEkf
 from comparisons.experiments.montecarlo.runs import FILTERS, run_filter
-from comparisons.experiments.scenarios.world import Measurements, World, measure
+from comparisons.experiments.scenarios.world import ScenarioWorld, WorldMeasurements, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf
-from comparisons.experiments.variants.batch_models import RelativePosition, Sensor
-from comparisons.experiments.variants.batch_state import BatchState, InvariantState, measured
+from comparisons.experiments.variants.batch_models import BatchSensor, RelativePosition
+from comparisons.experiments.variants.batch_state import BatchInvariantState, BatchState, measured
 from comparisons.experiments.variants.linearisation import (
     AtEstimate,
     AtFirstEstimate,
@@ -59,7 +59,7 @@ class RelativeObservation(RangeBearing):
         return NewLandmarks(pose[:2] + offset, by_pose, np.broadcast_to(turn, (len(z), 2, 2)))
 
 
-def drive(filter_: Any, world: World, data: Measurements, steps: int) -> None:
+def drive(filter_: Any, world: ScenarioWorld, data: WorldMeasurements, steps: int) -> None:
     for k in range(steps):
         filter_.predict(data.control[:, k])
         if len(world.seen[k]):
@@ -113,7 +113,7 @@ def test_a_batch_is_its_runs_one_by_one(name: str, scenario: str) -> None:
 def test_without_noise_every_filter_is_exact() -> None:
     world = short_world("circle", 300)
     offset = [world.landmark[w] - p[:2] for w, p in zip(world.seen, world.pose[1:], strict=True)]
-    exact = Measurements(
+    exact = WorldMeasurements(
         world.control[None],
         tuple(
             world.robot.sensor.predict(np.full(len(o), p[2]), o)[None]
@@ -127,7 +127,7 @@ def test_without_noise_every_filter_is_exact() -> None:
         assert np.abs(filter_.state.mean[0] - truth).max() < 1e-9, name
 
 
-def sensor_of(scenario: str) -> Sensor:
+def sensor_of(scenario: str) -> BatchSensor:
     return short_world(scenario, 5).robot.sensor
 
 
@@ -168,7 +168,7 @@ def test_invariant_measurement_jacobian_by_central_differences(scenario: str) ->
         assert np.allclose(h, central_difference(predict, np.zeros(9)), atol=1e-7)
 
 
-class Moved(InvariantState):
+class Moved(BatchInvariantState):
     """Lets a test move a state."""
 
     def moved(self, xi: Array) -> Array:
@@ -242,7 +242,7 @@ def test_prediction_and_beginning_by_central_differences(name: str, scenario: st
 def additive(state: BatchState) -> Array:
     """Covariance (n, n) of the first run's additive error."""
     covariance = state.covariance[0].copy()
-    if not isinstance(state, InvariantState):
+    if not isinstance(state, BatchInvariantState):
         return np.array(covariance)
     turn = np.eye(len(covariance))
     points = np.concatenate((state.pose[:, None, :2], state.landmarks), axis=1)[0]

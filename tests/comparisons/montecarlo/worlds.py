@@ -6,7 +6,7 @@ from comparisons.experiments import scenarios
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
 from comparisons.experiments.montecarlo.study import Study
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
-from comparisons.experiments.scenarios.world import World, build_world
+from comparisons.experiments.scenarios.world import ScenarioWorld, build_world
 
 SCENARIOS = Path(scenarios.__path__[0])
 
@@ -25,7 +25,7 @@ def short(name: str, steps: int) -> Scenario:
     return read_scenario(name).model_copy(update={"steps": steps})
 
 
-def short_world(name: str, steps: int) -> World:
+def short_world(name: str, steps: int) -> ScenarioWorld:
     """Its truth."""
     return build_world(short(name, steps))
 

@@ -26,7 +26,7 @@ from comparisons.trace import rows as trace_rows
 from comparisons.trace.batch import COLUMNS, KINDS, ROW, pack, unpack
 from comparisons.trace.events import Event
 from comparisons.trace.first_format import FirstFormat
-from comparisons.trace.reader import TABLES, Trace
+from comparisons.trace.reader import TABLES, TraceReader
 from comparisons.trace.recorder import Recorder
 from comparisons.trace.rows import EventReader, batch_rows
 from tests.comparisons.audit.toy_filter import Toy
@@ -78,7 +78,7 @@ def change(path: Path, sql: str, *values: Any) -> None:
 def refused(path: Path) -> str:
     """The one line that a bad trace gives, without the file's name."""
     with pytest.raises(InputError) as found:
-        list(Trace(path))
+        list(TraceReader(path))
     said = str(found.value)
     assert said.startswith(str(path))
     assert said.isprintable()
@@ -119,7 +119,7 @@ def edit(path: Path, number: int, column: str, value: Any) -> None:
 
 
 def kinds(path: Path) -> list[str]:
-    return [type(event).__name__ for event in Trace(path)]
+    return [type(event).__name__ for event in TraceReader(path)]
 
 
 def plain(event: Event) -> tuple[Any, ...]:
@@ -127,12 +127,12 @@ def plain(event: Event) -> tuple[Any, ...]:
 
 
 def test_every_kind_is_read_as_it_was_recorded(trace: Path) -> None:
-    found = Trace(trace)
+    found = TraceReader(trace)
     assert found.counts == (11, 2, 1)
     assert found.sensors == {"gps": (0.99, ("x", "y"))}
     events = list(found)
     assert kinds(trace) == [
-        *("Prior", "Directions", "Predict", "Predict", "Update", "Update", "Augment"),
+        *("TracePrior", "Directions", "Predict", "Predict", "Update", "Update", "Augment"),
         *("Clone", "Reset", "Snapshot", "Remove"),
     ]
     a, ab, r = ("a",), ("a", "b"), R.tolist()
@@ -162,12 +162,12 @@ def test_the_first_format_is_read_with_a_remark_that_says_so(name: str, tmp_path
         Toy(seed=1, steps=12).record(now)
     else:
         record(now)
-    former = Trace(KEPT / f"{name}.trace")
+    former = TraceReader(KEPT / f"{name}.trace")
     assert former.remarks == (f"{name}.trace {reader.OUTDATED}",)
-    assert Trace(now).remarks == ()
-    assert former.counts == Trace(now).counts
-    assert former.sensors == Trace(now).sensors
-    for one, other in zip(former, Trace(now), strict=True):
+    assert TraceReader(now).remarks == ()
+    assert former.counts == TraceReader(now).counts
+    assert former.sensors == TraceReader(now).sensors
+    for one, other in zip(former, TraceReader(now), strict=True):
         for kept, again in zip(one, other, strict=True):
             if isinstance(kept, np.ndarray):  # made on other processors, and large beside their sum
                 assert kept == pytest.approx(again, rel=1e-9, abs=1e-12)
@@ -185,8 +185,8 @@ def test_what_a_check_needs_is_read_as_it_was_recorded(tmp_path: Path) -> None:
         more: dict[str, Any] = {"point": [5.0], "after": [6.0], "numbers": 3, "weight": 0.0}
         recorder.augment("c", [[1.0, 2.0]], [[1.0, 0.5]], R, ["a"], chart="se2", **more)
         recorder.clone("c", "d")
-    assert kinds(path) == ["Prior", "Predict", "Update", "Update", "Augment", "Clone"]
-    prior, predict, update, reject, augment, _ = Trace(path)
+    assert kinds(path) == ["TracePrior", "Predict", "Update", "Update", "Augment", "Clone"]
+    prior, predict, update, reject, augment, _ = TraceReader(path)
     assert plain(prior)[5:] == ([1.0, 2.0], ("additive", "so3 right"))
     assert plain(predict)[5:] == ([1.0], [2.0, 3.0])
     assert plain(update)[8:] == (None, None, [4.0], [7.0, 8.0], 0.25)
@@ -280,7 +280,7 @@ def test_a_noise_that_is_no_covariance_is_kept_with_its_fault(
     trace: Path, number: int, column: str, value: Array, said: str
 ) -> None:
     edit(trace, number, column, value.tobytes())
-    read = Trace(trace)
+    read = TraceReader(trace)
     assert len(list(read)) == 11
     assert read.unsound == {number: said}
     assert read.singular == {}
@@ -289,7 +289,7 @@ def test_a_noise_that_is_no_covariance_is_kept_with_its_fault(
 @pytest.mark.parametrize("value", [np.diag([1.0, 0.0]), np.ones((2, 2)), np.zeros((2, 2))])
 def test_a_noise_of_a_perfect_measurement_is_singular(trace: Path, value: Array) -> None:
     edit(trace, UPDATE, "noise", value.tobytes())
-    read = Trace(trace)
+    read = TraceReader(trace)
     assert len(list(read)) == 11
     assert (read.unsound, read.singular) == ({}, {UPDATE: "noise (R) is singular"})
 
@@ -430,7 +430,7 @@ def test_a_truncated_file_is_refused_at_any_length(trace: Path) -> None:
         said = refused(trace)
         assert "SQLite" in said or f": is cut off: {length} bytes, expected {len(whole)}" in said
     trace.write_bytes(whole)
-    assert len(list(Trace(trace))) == 11
+    assert len(list(TraceReader(trace))) == 11
 
 
 def test_damaged_bytes_are_read_or_refused(trace: Path) -> None:
@@ -443,7 +443,7 @@ def test_damaged_bytes_are_read_or_refused(trace: Path) -> None:
             damaged[at] = draw.randrange(256)
         trace.write_bytes(damaged)
         try:
-            list(Trace(trace))
+            list(TraceReader(trace))
         except InputError as error:
             said.append(str(error))
     assert len(said) > 100
@@ -562,7 +562,7 @@ def test_what_is_no_file_is_one_line(trace: Path, which: str, make: Callable[[Pa
 def test_a_folder_without_a_name_is_one_line() -> None:
     for path in (Path("."), Path("/"), Path("..")):
         with pytest.raises(InputError, match=f"^{path}: is not a regular file$"):
-            Trace(path)
+            TraceReader(path)
 
 
 def test_an_unreadable_file_is_one_line(trace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -577,7 +577,7 @@ def test_a_value_beyond_the_limit_is_not_loaded(
     trace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(reader, "_LONGEST_BYTES", 100_000)
-    assert len(list(Trace(trace))) == 11
+    assert len(list(TraceReader(trace))) == 11
     change(trace, "UPDATE batch SET data = zeroblob(200000)")
     said = refused(trace)
     assert said.startswith(": SQLite cannot read it (string or blob too big)")
@@ -602,12 +602,12 @@ def test_the_pages_example_is_a_trace(tmp_path: Path, monkeypatch: pytest.Monkey
     assert audit(tmp_path / "by-hand.events").sound
     shown = "$ slamcheck audit by-hand.events\nverdict: sound\n"
     assert f"```console\n{shown}```" in PAGE  # what the command prints first
-    assert kinds(tmp_path / "by-hand.events") == ["Prior", "Predict", "Update", "Snapshot"]
+    assert kinds(tmp_path / "by-hand.events") == ["TracePrior", "Predict", "Update", "Snapshot"]
 
 
 def test_an_odd_name_is_read(tmp_path: Path) -> None:
     for name in ("a b.trace", "100%?x=1#y.trace", "\u661f's.trace", "-.trace"):
-        assert len(list(Trace(record(tmp_path / name)))) == 11
+        assert len(list(TraceReader(record(tmp_path / name)))) == 11
 
 
 def faults(stack: Array, *, definite: bool) -> list[tuple[int, str]]:
@@ -683,7 +683,7 @@ def test_all_of_several_faults_are_named(tmp_path: Path) -> None:
         for number in range(1, 500):
             recorder.predict(1.0, -1.0 if number in (303, 310) else float(number))
         recorder.update("gps", 1.0, 1.0, -1.0)
-    read = Trace(path)
+    read = TraceReader(path)
     assert len(list(read)) == 501
     negative = "noise (Q) has a negative eigenvalue"
     unsound = {303: negative, 310: negative, 500: "noise (R) has a negative eigenvalue"}
@@ -698,14 +698,14 @@ def test_a_recording_is_read_while_it_goes_on(tmp_path: Path) -> None:
         recorder.prior({"a": 1}, 1.0)
         for _ in range(3000):
             recorder.predict(1.0, 1.0)
-        events = iter(Trace(path))
+        events = iter(TraceReader(path))
         for _ in range(1000):
             next(events)
         for _ in range(3000):
             recorder.predict(1.0, 1.0)
         rest = sum(1 for _ in events)
     assert rest == 5000
-    assert len(list(Trace(path))) == 6001
+    assert len(list(TraceReader(path))) == 6001
 
 
 @pytest.mark.slow
@@ -726,7 +726,7 @@ def test_memory_holds_few_events_at_once(tmp_path: Path) -> None:
 
 
 def test_matrices_that_are_repeated_are_one(trace: Path) -> None:
-    events: list[Any] = list(Trace(trace))
+    events: list[Any] = list(TraceReader(trace))
     first, again, used, rejected = events[2:6]
     assert first.jacobian is again.jacobian
     assert used.noise is rejected.noise
@@ -739,14 +739,14 @@ def test_rounding_beside_the_state_is_no_negative_noise(tmp_path: Path) -> None:
         with Recorder(tmp_path / f"{noise}.trace") as recorder:
             recorder.prior({"pose": 1, "landmark": 1}, np.diag((0.1, 0.5)))
             recorder.predict(np.eye(2), q)
-        read = Trace(tmp_path / f"{noise}.trace")
+        read = TraceReader(tmp_path / f"{noise}.trace")
         assert len(list(read)) == 2
         assert read.unsound == ({} if sound else {1: "noise (Q) has a negative eigenvalue"})
 
 
 def test_a_reading_that_is_given_up_may_be_closed_by_another_thread(tmp_path: Path) -> None:
     """As garbage that an error leaves is, whose frames any thread may collect."""
-    events = iter(Trace(record(tmp_path / "run.trace")))
+    events = iter(TraceReader(record(tmp_path / "run.trace")))
     next(events)
     assert isinstance(events, Generator)
     with ThreadPoolExecutor(1) as other:

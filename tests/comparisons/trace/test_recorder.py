@@ -16,8 +16,8 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.trace import reader
 from comparisons.trace.batch import unpack
-from comparisons.trace.events import Augment, Clone, Predict, Prior, Snapshot, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.events import Augment, Clone, Predict, Snapshot, TracePrior, Update
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 from tests.processes import python
 
@@ -43,7 +43,7 @@ def matrices(path: Path) -> list[int]:
 
 
 def numbers(path: Path) -> list[int]:
-    return [event.number for event in Trace(path)]
+    return [event.number for event in TraceReader(path)]
 
 
 def test_matrices_that_repeat_are_stored_once(path: Path) -> None:
@@ -55,7 +55,7 @@ def test_matrices_that_repeat_are_stored_once(path: Path) -> None:
         for sensor, block in (("x", "a"), ("y", "a"), ("x", "a"), ("x", "b"), ("x", "a")):
             recorder.update(sensor, 1.0, 1.0, 1.0, [block])
     assert matrices(path) == [4, 4, 1]
-    found = [event.jacobian[0, 0] for event in Trace(path) if isinstance(event, Predict)]
+    found = [event.jacobian[0, 0] for event in TraceReader(path) if isinstance(event, Predict)]
     assert found == [2.0, 2.0, 4.0, 4.0, 2.0]
 
 
@@ -83,7 +83,7 @@ def test_a_block_of_another_size_repeats_nothing(path: Path) -> None:
         recorder.remove("a")
         recorder.augment("a", np.zeros((2, 1)), np.eye(2), np.eye(2), ["b"])
         recorder.update("x", np.zeros(3), np.zeros((3, 2)), np.eye(3), ["a"])
-    shapes = [event.jacobian.shape for event in Trace(path) if isinstance(event, Update)]
+    shapes = [event.jacobian.shape for event in TraceReader(path) if isinstance(event, Update)]
     assert shapes == [(2, 3), (3, 2)]
 
 
@@ -95,7 +95,7 @@ def test_a_sensor_named_as_nothing_else_is_kept_apart(path: Path) -> None:
             recorder.update(name, [1.0], [[k]], [[1.0]], [name])
         recorder.clone("", "\u661f")
         recorder.remove(*names)
-    trace = Trace(path)
+    trace = TraceReader(path)
     assert list(trace.sensors) == names
     events = [event for event in trace if isinstance(event, Update)]
     assert [(event.sensor, *event.blocks) for event in events] == [(name, name) for name in names]
@@ -112,7 +112,7 @@ def test_odd_forms_of_numbers_are_taken(path: Path) -> None:
         recorder.augment("c", [[1.0, 2.0]], 1.0, 2.0)
         recorder.augment("d", np.ones((2, 1)), np.zeros((2, 0)), np.zeros((0, 0)), ["c"])
         recorder.snapshot(np.eye(5), mean=3.0, error=np.ones((5, 1)))
-    events: list[Any] = list(Trace(path))
+    events: list[Any] = list(TraceReader(path))
     _, predict, update, second, _, other, snapshot = events
     assert predict.jacobian.tolist() == [[0.0, 1.0], [2.0, 3.0]]
     assert predict.noise.tolist() == [[1.0, 0.5], [0.5, 2.0]]
@@ -177,8 +177,8 @@ def test_a_wrong_call_records_nothing_and_the_recording_goes_on(
         recorder.predict(P, P)
         recorder.clone("a", "c")
         recorder.update("x", 1.0, 1.0, 1.0, ["c"])
-    assert [type(event).__name__ for event in Trace(path)] == [
-        *("Prior", "Predict", "Predict", "Clone", "Update")
+    assert [type(event).__name__ for event in TraceReader(path)] == [
+        *("TracePrior", "Predict", "Predict", "Clone", "Update")
     ]
 
 
@@ -269,7 +269,7 @@ def test_a_recording_is_gone_on_with(path: Path) -> None:
         with Recorder(path, append=True, gates={"gps": 0.95}) as recorder:
             recorder.predict(P, P, ["copy"])
             recorder.snapshot(np.eye(4))
-    trace = Trace(path)
+    trace = TraceReader(path)
     assert trace.sensors["gps"].gate == 0.95
     events: list[Any] = list(trace)
     assert [event.number for event in events] == list(range(9))
@@ -280,7 +280,7 @@ def test_a_recording_is_gone_on_with(path: Path) -> None:
 def test_a_recording_without_events_is_gone_on_with(path: Path) -> None:
     Recorder(path).close()
     with pytest.raises(InputError, match="holds no events"):
-        list(Trace(path))
+        list(TraceReader(path))
     with Recorder(path, append=True) as recorder:
         recorder.prior({"a": 2}, P)
     assert numbers(path) == [0]
@@ -393,7 +393,7 @@ def test_large_snapshots_are_written_early(path: Path) -> None:
         recorder.prior({"a": n}, np.eye(n))
         for _ in range(20):
             recorder.snapshot(np.random.default_rng(_).standard_normal((n, n)))
-        assert Trace(path).counts.events >= 15
+        assert TraceReader(path).counts.events >= 15
 
 
 CHILD = """
@@ -501,10 +501,10 @@ def test_a_hostile_journal_deletes_no_file(
         Path(f"{link}-journal").write_text("not the one that SQLite reads\n")
         for name in (hostile, link):
             with pytest.raises(InputError, match="names another file, as a recorder's never does"):
-                Trace(name)
+                TraceReader(name)
     else:
         monkeypatch.setattr(reader, "_JOURNAL_MAGIC", b"")
-        assert Trace(hostile).counts.events == 3001
+        assert TraceReader(hostile).counts.events == 3001
     assert victim.exists() == guarded
 
 
@@ -531,8 +531,8 @@ def test_blocks_are_followed_as_the_reader_does(path: Path) -> None:
                 dims[f"n{step}"] = d
             recorder.snapshot(np.eye(sum(dims.values())))
     now: dict[str, int] = {}
-    for event in Trace(path):
-        if isinstance(event, Prior):
+    for event in TraceReader(path):
+        if isinstance(event, TracePrior):
             now = dict(zip(event.blocks, event.dims, strict=True))
         elif isinstance(event, Augment):
             now[event.name] = len(event.jacobian)

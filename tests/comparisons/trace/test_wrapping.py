@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.audit.audit import Audit, audit
 from comparisons.errors import InputError
 from comparisons.trace.events import Predict, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.reader import TraceReader
 from ekf_reference.core.geometry import wrap_angle
 from slamcheck import record
 
@@ -111,7 +111,7 @@ def test_a_filter_of_ones_own_is_recorded(path: Path) -> None:
     )
     assert [one.sensor for one in found.sensors] == ["gps"]
     assert found.gains_compared == STEPS
-    events: list[Any] = list(Trace(path))
+    events: list[Any] = list(TraceReader(path))
     prior, _, predict, _, update, *_ = events
     assert isinstance(update, Update)
     assert prior.blocks == ("position", "velocity")
@@ -176,7 +176,7 @@ def test_an_unscented_filter_of_filterpy_is_recorded(path: Path) -> None:
             ukf.predict()
             ukf.update(polar(z))
     assert not faults(audit(path))
-    predicted = next(one for one in Trace(path) if isinstance(one, Predict))
+    predicted = next(one for one in TraceReader(path) if isinstance(one, Predict))
     np.testing.assert_allclose(predicted.jacobian, F, atol=1e-9)
     np.testing.assert_allclose(predicted.noise, Q, atol=1e-9)
 
@@ -203,7 +203,7 @@ def test_an_angle_that_an_unscented_filter_wraps_is_corrected_by_little(path: Pa
         ukf.predict()
         ukf.update(np.array([3.2]))
     assert ukf.x[0] < -3.1
-    update = next(one for one in Trace(path) if isinstance(one, Update))
+    update = next(one for one in TraceReader(path) if isinstance(one, Update))
     assert update.correction == pytest.approx([0.1 * 0.0101 / 0.0201], rel=1e-6)
 
 
@@ -304,9 +304,9 @@ def test_a_track_of_stone_soup_is_recorded(path: Path) -> None:
     assert not faults(found)
     assert found.updates == 27
     assert [one.sensor for one in found.sensors] == ["Polar"]
-    kinds = [type(event).__name__ for event in Trace(path)]
+    kinds = [type(event).__name__ for event in TraceReader(path)]
     assert kinds.count("Predict") == STEPS, "those that lead nowhere are left out"
-    times = [event.time_s for event in Trace(path) if event.time_s is not None]
+    times = [event.time_s for event in TraceReader(path) if event.time_s is not None]
     assert times == sorted(times)
 
 
@@ -344,4 +344,4 @@ def test_a_recording_ends_with_the_process(path: Path) -> None:
         "mine.predict(0.1); mine.update(measurements()[0])\n"
     )
     subprocess.run((sys.executable, "-c", code, path), check=True)
-    assert Trace(path).counts == (6, 1, 3)
+    assert TraceReader(path).counts == (6, 1, 3)

@@ -10,14 +10,14 @@ from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
-from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.points import AllReturns
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import Scan, ScanSensor
 from ekf_reference.dense.triangles import determinant, is_degenerate
 from tests.ekf_reference.ray_casting import Solids, cast, sides
 
-SENSOR = Sensor(0.1, math.radians(0.5), math.radians(0.5))
+SENSOR = ScanSensor(0.1, math.radians(0.5), math.radians(0.5))
 HERE = np.array([2.0, 5.0, 0.1])
 WALL_M = 14.3
 """A wall along north, at this east."""
@@ -26,7 +26,7 @@ LAYERS = ("points", "occupancy", "particles", "gaussians")
 
 def layer(name: str, seed: int = 0) -> Layer:
     made: dict[str, Layer] = {
-        "points": Points(),
+        "points": AllReturns(),
         "occupancy": OccupancyGrid(),
         "particles": Particles(np.random.default_rng(seed)),
         "gaussians": Gaussians(),
@@ -106,7 +106,7 @@ def yard() -> Solids:
 @cache
 def simulation() -> tuple[RegionsAtMap, tuple[Scan, ...]]:
     """Scans of the noise of Nieto 2005, Table 4.1, from known poses on one loop, in regions."""
-    rng, sensor = np.random.default_rng(1), Sensor(0.1, math.radians(1.0), math.radians(0.5))
+    rng, sensor = np.random.default_rng(1), ScanSensor(0.1, math.radians(1.0), math.radians(0.5))
     beam = np.arange(-0.5 * math.pi, 0.5 * math.pi, sensor.beam_rad)
     landmark, regions = lattice(np.full(2, -50.0), np.full(2, 50.0), 11.0)
     taken: list[Scan] = []

@@ -3,7 +3,7 @@ import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.association import Associated, associate, doubled
-from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.points import AllReturns
 from tests.ekf_reference.dense.scenes import field
 
 
@@ -64,7 +64,7 @@ def test_flat_and_lost_regions_are_left_out() -> None:
     landmark, regions = field()
     landmark[regions.base[3, 0]] = np.nan
     landmark[regions.base[20]] = landmark[regions.base[20, 0]]
-    layer, number = Points(), np.arange(len(regions.base))
+    layer, number = AllReturns(), np.arange(len(regions.base))
     layer._store.append(number, np.full((len(number), 2), 0.3))
     left = layer._placed(regions.placed(landmark), number)[0].region
     assert 3 not in left

@@ -136,20 +136,6 @@ def test_cells_cover_their_region_and_nothing_else() -> None:
     assert (grid.cell(corners) >= 0).all()
 
 
-def test_cells_fill_their_region_and_are_smaller_than_squares() -> None:
-    """All its cells together have the triangle's area; as many squares have more."""
-    placed = place()
-    grid = OccupancyGrid(0.05)
-    grid.grids[1] = RegionGrid.over(placed.triangle[1], 0.05)
-    area, count = grid.cell_area(placed), len(grid.grids[1].odds)
-    first, second, third = placed.triangle[1]
-    (a_x, a_y), (b_x, b_y) = second - first, third - first
-    whole = 0.5 * abs(a_x * b_y - a_y * b_x)
-    assert area[1] * count == pytest.approx(whole, rel=0.03)
-    assert 0.05**2 * count > 1.1 * whole
-    assert np.isnan(np.delete(area, 1)).all()
-
-
 def test_almost_empty_regions_coarsen_and_keep_their_surfaces() -> None:
     """N 4.1.3: more than 99 % of the cells below 0.2."""
     placed = place()

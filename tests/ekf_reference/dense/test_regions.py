@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, overlap
-from ekf_reference.dense.region_store import RegionStore, Rows
+from ekf_reference.dense.region_store import RegionRows, RegionStore
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import contains, solve
 from tests.ekf_reference.dense.scenes import flipped
@@ -310,7 +310,7 @@ def test_written_back_rows_replace_theirs_alone() -> None:
     store.put(rows)
     for number, factor in ((0, 2.0), (3, 1.0), (4, 2.0), (9, 1.0)):
         assert np.array_equal(store.gather(np.array([number])).value, factor * expected[number])
-    store.put(Rows(np.empty(0, dtype=np.intp), np.empty((0, 2))))
+    store.put(RegionRows(np.empty(0, dtype=np.intp), np.empty((0, 2))))
 
 
 def test_dropped_rows_leave_the_others_in_order() -> None:

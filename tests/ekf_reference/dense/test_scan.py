@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.scan import Beams, Scan, Sensor
+from ekf_reference.dense.scan import Beams, Scan, ScanSensor
 from tests.ekf_reference.numerics import central_difference
 
-SENSOR = Sensor(0.1, 0.01, 0.05)
+SENSOR = ScanSensor(0.1, 0.01, 0.05)
 POSE = np.array([3.0, -2.0, 2.5])
 
 
@@ -89,7 +89,9 @@ def test_beams_in_any_order_and_any_turn_are_the_same_scan() -> None:
 def test_points_across_the_back_meet_the_nearest_beam() -> None:
     """At plus and minus pi a beam's neighbour is at the other end of the array."""
     bearing = np.array([-3.1, 0.0, 3.12])
-    scan = Scan.of_ranges(np.zeros(3), bearing, np.array([5.0, 6.0, 7.0]), Sensor(0.1, 0.1, 0.1))
+    scan = Scan.of_ranges(
+        np.zeros(3), bearing, np.array([5.0, 6.0, 7.0]), ScanSensor(0.1, 0.1, 0.1)
+    )
     direction = np.array([3.14159, -3.14159, -3.12, 3.11, 0.01])
     point = 4.0 * np.column_stack((np.cos(direction), np.sin(direction)))
     assert np.allclose(4.0 + scan.beams(point).ahead_m, [7.0, 7.0, 5.0, 7.0, 6.0])

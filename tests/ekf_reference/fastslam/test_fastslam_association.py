@@ -7,9 +7,9 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.association import (
+    ExpectedDetection,
     KnownIdentities,
     PerParticleLikelihood,
-    View,
     best_pairs,
 )
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
@@ -31,7 +31,7 @@ def watching(particles: int, proposal: Proposal = "measurement", loss: float = 0
     options = FastSlamOptions(
         particles=particles,
         proposal=proposal,
-        association=PerParticleLikelihood(view=View(20.0, 1.5), loss=loss),
+        association=PerParticleLikelihood(view=ExpectedDetection(20.0, 1.5), loss=loss),
         resample_share=0.0,
     )
     return standing(options)
@@ -133,7 +133,9 @@ def test_a_loop_of_unlabelled_points_is_mapped_without_duplicates() -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     points = np.column_stack((np.cos(angle), np.sin(angle))) * 14.0
     generator, truth = np.random.default_rng(3), np.array([9.0, 0.0, np.pi / 2])
-    options = FastSlamOptions(particles=400, association=PerParticleLikelihood(view=View(9.0, 1.2)))
+    options = FastSlamOptions(
+        particles=400, association=PerParticleLikelihood(view=ExpectedDetection(9.0, 1.2))
+    )
     slam = FastSlam(RelativePoseModel(), truth, np.zeros((3, 3)), generator, options)
     step, sigma = np.array([0.9, 0.0, 0.1]), np.array([0.03, 0.01, 0.004])
     model = RelativePoseModel()

@@ -15,7 +15,7 @@ from ekf_reference.fastslam import filter as filter_module
 from ekf_reference.fastslam.accumulated_motion import AccumulatedMotion
 from ekf_reference.fastslam.association import KnownIdentities
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
-from ekf_reference.fastslam.particle_maps import Expected, ParticleMaps, inverse_2x2
+from ekf_reference.fastslam.particle_maps import ParticleMaps, ParticlePredictions, inverse_2x2
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,
@@ -133,7 +133,7 @@ def wide_motion(self: AccumulatedMotion) -> Array:
 
 def certain_landmarks(
     maps: ParticleMaps, pose: Array, columns: Array, sensor: MeasurementModel
-) -> Expected:
+) -> ParticlePredictions:
     at = EXPECTED(maps, pose, columns, sensor)  # type: ignore[arg-type]
     return at._replace(spread=0.0 * at.spread)
 

@@ -12,7 +12,12 @@ from scipy.stats import chi2, chisquare
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam import association
-from ekf_reference.fastslam.association import Choice, PerParticleLikelihood, View, sampled_pairs
+from ekf_reference.fastslam.association import (
+    Choice,
+    ExpectedDetection,
+    PerParticleLikelihood,
+    sampled_pairs,
+)
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 from tests.ekf_reference.fastslam.linear_sensor import PlaceDifference, standing
 
@@ -165,7 +170,7 @@ def options_of(
 ) -> FastSlamOptions:
     """All landmarks are in the gate, and none is new after the first scan."""
     rule = PerParticleLikelihood(
-        view=View(0.1), choice=choice, gate=1e6, new_gate=1e6, new_density=NEW_DENSITY
+        view=ExpectedDetection(0.1), choice=choice, gate=1e6, new_gate=1e6, new_density=NEW_DENSITY
     )
     return FastSlamOptions(
         particles=particles,
@@ -312,7 +317,7 @@ def misplaced_m(choice: Choice, seed: int) -> float:
     """Error along the way after a slip of 0.8 m (1 sigma) and ten scans of one post each."""
     world, step = np.random.default_rng((seed, 1)), np.diag((0.64, 1e-4, 0.0))
     truth = world.normal(0.0, (0.8, 0.01))
-    rule = PerParticleLikelihood(view=View(0.1), choice=choice)
+    rule = PerParticleLikelihood(view=ExpectedDetection(0.1), choice=choice)
     options = FastSlamOptions(particles=30, association=rule, sensor=PlaceDifference())
     slam = standing(options, seed)
     noise, none = np.tile(0.01 * np.eye(2), (8, 1, 1)), np.full(8, -1, dtype=np.int64)

@@ -10,7 +10,7 @@ import pytest
 from ekf_reference.core.geometry import Array, to_frame, to_world
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import Scan, ScanSensor
 from ekf_reference.dense.triangles import turned
 from ekf_reference.scan_landmarks.high_level import (
     Around,
@@ -24,7 +24,7 @@ from ekf_reference.scan_landmarks.high_level import (
 from tests.ekf_reference.dense.scenes import lattice, reported
 from tests.ekf_reference.ray_casting import Solids, cast, sides
 
-SENSOR = Sensor(0.05, math.radians(0.5), math.radians(0.5), math.radians(8.0))
+SENSOR = ScanSensor(0.05, math.radians(0.5), math.radians(0.5), math.radians(8.0))
 BEAMS = np.radians(np.arange(-180.0, 180.0, 0.5))
 CENTRES = np.array(((-11.0, 9.0), (11.0, 8.0), (0.0, -11.0)))
 SIZE = np.array((9.0, 6.0))

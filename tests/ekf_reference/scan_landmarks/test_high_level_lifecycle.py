@@ -14,9 +14,9 @@ from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.high_level import Found, search
+from ekf_reference.scan_landmarks.high_level import PlacedTemplate, search
 from ekf_reference.scan_landmarks.high_level_lifecycle import Glimpse, HighLevelLandmarks
-from ekf_reference.scan_landmarks.templates import View
+from ekf_reference.scan_landmarks.templates import SensorView
 from ekf_reference.scan_matching.scan_shape import of_scan
 from tests.ekf_reference.numerics import central_difference, relative_error
 from tests.ekf_reference.ray_casting import cast
@@ -32,7 +32,7 @@ from tests.ekf_reference.scan_landmarks.test_high_level import (
 START = np.array((1.0, 0.5, 0.7))
 POINTS = np.array(((-20.0, 10.0), (0.0, 10.0), (-10.0, 0.0)))
 SIGMA = np.array((0.05, 0.005))
-ALL_ROUND = View(60.0, -math.pi, math.pi)
+ALL_ROUND = SensorView(60.0, -math.pi, math.pi)
 
 
 def filter_at(pose: Array, points: Array = POINTS) -> Ekf:
@@ -55,7 +55,7 @@ def glimpse(pose: Array, mount: Array, seed: int = 0) -> Glimpse:
     return Glimpse(of_scan(BEAMS, seen, SENSOR), mount, ALL_ROUND)
 
 
-def found() -> list[Found]:
+def found() -> list[PlacedTemplate]:
     return list(search(around(), NONE, FEW).found)
 
 

@@ -13,7 +13,7 @@ from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.scan_slam import GATED, LEFT_OUT, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
-from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
+from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, SensorView, Template
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import composed, relative
@@ -22,7 +22,7 @@ from tests.ekf_reference.ray_casting import Solids
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
 from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, ranges
 
-VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
+VIEW = SensorView(40.0, float(BEAMS[0]), float(BEAMS[-1]))
 MOUNT = np.array((0.4, -0.3, 0.2))
 PRIOR = np.diag((0.05, 0.05, 0.01)) ** 2
 SINGLE = SingleSegments(every=1)

@@ -5,15 +5,19 @@ from dataclasses import replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Known, SingleSegments
-from ekf_reference.scan_landmarks.templates import Template, View
+from ekf_reference.dense.scan import ScanSensor
+from ekf_reference.scan_landmarks.template_extraction import (
+    JoinedSegments,
+    LandmarkInView,
+    SingleSegments,
+)
+from ekf_reference.scan_landmarks.templates import SensorView, Template
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
-LASER = Sensor(0.02, 1e-3, np.deg2rad(0.5), np.deg2rad(8.0))
+LASER = ScanSensor(0.02, 1e-3, np.deg2rad(0.5), np.deg2rad(8.0))
 BEAMS = np.deg2rad(np.arange(-90.0, 90.25, 0.5))
-VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]), 0.9)
+VIEW = SensorView(40.0, float(BEAMS[0]), float(BEAMS[-1]), 0.9)
 AHEAD = np.array((1.0, 0.0))
 
 
@@ -26,12 +30,12 @@ def scan() -> SumOfGaussians:
     return of_scan(BEAMS, way, LASER)
 
 
-def none() -> list[Known]:
+def none() -> list[LandmarkInView]:
     return []
 
 
 def found(
-    extraction: JoinedSegments | SingleSegments, known: list[Known] | None = None
+    extraction: JoinedSegments | SingleSegments, known: list[LandmarkInView] | None = None
 ) -> list[Index]:
     return list(extraction.found(scan(), VIEW, AHEAD, lambda: known or []))
 
@@ -91,11 +95,13 @@ def test_a_known_segment_is_no_new_landmark_and_an_unknown_one_is() -> None:
     template, spread = Template.of_segment(seen, rows), np.diag((0.05, 0.05, 0.01)) ** 2
 
     def again(by: Array, covariance: Array = spread) -> int:
-        return len(found(SingleSegments(), [Known(template, template.pose + by, covariance)]))
+        return len(
+            found(SingleSegments(), [LandmarkInView(template, template.pose + by, covariance)])
+        )
 
     assert again(np.zeros(3)) == 0
     assert again(np.array((0.0, 12.0, 0.0))) == 1
     assert again(np.array((0.0, 12.0, 0.0)), spread + np.diag((40.0, 40.0, 0.0))) == 0
     shifted = replace(template.shape, mean=template.shape.mean + (6.0, 0.0))
-    axis = Known(Template(shifted, template.pose), template.pose - (6.0, 0.0, 0.0), spread)
+    axis = LandmarkInView(Template(shifted, template.pose), template.pose - (6.0, 0.0, 0.0), spread)
     assert not found(SingleSegments(), [axis])  # its points lie there, though not its axis

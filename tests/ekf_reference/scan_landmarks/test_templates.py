@@ -18,9 +18,9 @@ from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
     UNDETERMINED,
+    SensorView,
     Template,
     TemplateMatching,
-    View,
     observe,
     share_in_view,
 )
@@ -41,7 +41,7 @@ from tests.ekf_reference.scan_matching.scenes import (
 
 STILL = np.zeros(3)
 NEAR = np.diag((0.3, 0.3, 0.05)) ** 2
-VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
+VIEW = SensorView(40.0, float(BEAMS[0]), float(BEAMS[-1]))
 MATCHING = TemplateMatching(VIEW)
 STAR = solids(outline((6, -2), (9, -3), (8, -0.5), (11, 1), (8, 1.5), (8.5, 4), (6.5, 2), (5, 3)))
 """Has all directions fixed by itself."""

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.scan import Sensor
+from ekf_reference.dense.scan import ScanSensor
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.ray_casting import Solids, cast, sides
 
 BEAMS = np.deg2rad(np.linspace(-90.0, 90.0, 361))
-LASER = Sensor(0.02, np.deg2rad(0.1), np.deg2rad(0.5), np.deg2rad(5.0))
-THESIS = Sensor(0.1, np.deg2rad(1.0), np.deg2rad(0.5), np.deg2rad(5.0))
+LASER = ScanSensor(0.02, np.deg2rad(0.1), np.deg2rad(0.5), np.deg2rad(5.0))
+THESIS = ScanSensor(0.1, np.deg2rad(1.0), np.deg2rad(0.5), np.deg2rad(5.0))
 """Nieto 2005, Table 5.1."""
 REACH_M = 40.0
 
@@ -58,7 +58,7 @@ class Pair:
     motion: Array
 
 
-def ranges(rng: np.random.Generator, scene: Solids, pose: Array, sensor: Sensor) -> Array:
+def ranges(rng: np.random.Generator, scene: Solids, pose: Array, sensor: ScanSensor) -> Array:
     """(B,) what a noisy laser of half a circle reads; NaN for no return."""
     aside = sensor.sigma_bearing_rad * rng.standard_normal(len(BEAMS))
     way = cast(BEAMS + aside, pose, scene)
@@ -68,7 +68,7 @@ def ranges(rng: np.random.Generator, scene: Solids, pose: Array, sensor: Sensor)
 
 
 def pair(
-    rng: np.random.Generator, scene: Solids, sensor: Sensor = LASER, apart: float = 1.0
+    rng: np.random.Generator, scene: Solids, sensor: ScanSensor = LASER, apart: float = 1.0
 ) -> Pair:
     """Two scans from places near the origin, up to `apart` metres and 0.3 radians different."""
     second = rng.uniform(-1.0, 1.0, 3) * (1.0, 1.0, 0.4)

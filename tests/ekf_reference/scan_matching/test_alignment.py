@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_matching import alignment, search
 from ekf_reference.scan_matching.alignment import align, ascend
-from ekf_reference.scan_matching.grid_correlation import correlate
 from ekf_reference.scan_matching.problem import AlignmentOptions, Problem
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.search import Lattice
@@ -218,17 +216,3 @@ def test_guesses_that_cannot_be_used(guess: Array, covariance: Array, message: s
 def test_the_last_stage_is_the_correlation_itself() -> None:
     with pytest.raises(ValueError, match="the last to be 0"):
         AlignmentOptions(inflation_m=(0.5, 0.1))
-
-
-def test_grid_correlation_comes_within_a_cell() -> None:
-    rng = np.random.default_rng(7)
-    two = pair(rng, COURT)
-    way = ranges(rng, COURT, np.zeros(3), LASER)
-    scan = Scan.of_ranges(np.zeros(3), BEAMS, way, LASER)
-    true = np.array((0.3, -0.2, 0.1))
-    seen = of_scan(BEAMS, ranges(rng, COURT, true, LASER), LASER)
-    found = correlate(seen.mean, scan, true + (0.3, -0.4, 0.05), np.diag((0.4, 0.4, 0.1)) ** 2)
-    assert np.abs(found.pose - true).max() < 0.2
-    assert found.score > 0.3
-    with pytest.raises(ValueError, match="no returns"):
-        correlate(np.zeros((0, 2)), scan, two.motion, NEAR)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.scan import Sensor
+from ekf_reference.dense.scan import ScanSensor
 from ekf_reference.scan_matching.alignment_covariance import (
     CovarianceOptions,
     quadratic_form,
@@ -49,7 +49,7 @@ def test_5_17_gives_a_gaussians_covariance_exactly() -> None:
 class Trials:
     """Errors (N, 3), covariances and curvatures (N, 3, 3), open directions (N,)."""
 
-    def __init__(self, scenes: list[Solids], count: int, seed: int, *sensors: Sensor) -> None:
+    def __init__(self, scenes: list[Solids], count: int, seed: int, *sensors: ScanSensor) -> None:
         rng = np.random.default_rng(seed)
         error, covariance, curvature, free, heading = [], [], [], [], []
         for k in range(count):

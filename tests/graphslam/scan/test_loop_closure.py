@@ -20,7 +20,7 @@ from graphslam.scan.loop_closure import (
     starts,
 )
 from graphslam.scan.matchers import SurfaceMatcher
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.smoother import smooth
 from tests.graphslam.numerics import Array, central_difference, random_covariance, relative_error
@@ -50,7 +50,7 @@ def drive() -> tuple[Array, SlamProblem, dict[int, Array]]:
 @cache
 def closed() -> Closed:
     _, problem, clouds = drive()
-    return loop_closer(OdometryOptions()).close(problem, clouds)
+    return loop_closer(KissIcpOptions()).close(problem, clouds)
 
 
 def position_error(problem: SlamProblem, true: Array) -> float:
@@ -92,7 +92,7 @@ def test_every_attempt_says_what_came_of_it() -> None:
 @pytest.mark.slow
 def test_the_same_scans_close_the_same_loops() -> None:
     _, problem, clouds = drive()
-    again = loop_closer(OdometryOptions()).close(problem, clouds)
+    again = loop_closer(KissIcpOptions()).close(problem, clouds)
     assert np.array_equal(again.loop_closures.motion, closed().loop_closures.motion)
     assert np.array_equal(again.loop_closures.covariance, closed().loop_closures.covariance)
 

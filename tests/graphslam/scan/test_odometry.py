@@ -11,7 +11,7 @@ import pytest
 
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
-from graphslam.scan.odometry import Increment, OdometryOptions, ScanOdometry
+from graphslam.scan.odometry import Increment, KissIcpOptions, ScanOdometry
 from graphslam.scan.registration import ScanError
 from tests.graphslam.numerics import Array
 from tests.graphslam.scan.shapes import BLOCK, hall_in_space, round_the_block, scan, seen_from
@@ -151,7 +151,7 @@ def test_without_a_guess_the_velocity_is_kept() -> None:
     """Where alignment reaches less far than the vehicle goes between two scans."""
     step = np.array((1.3, 0.05, 0.1))
     scans = drive(5, step=step)[1]
-    short = OdometryOptions(blind_threshold_m=0.3, blind_jump_m=0.8)
+    short = KissIcpOptions(blind_threshold_m=0.3, blind_jump_m=0.8)
     moving, standing = ScanOdometry(short), ScanOdometry(short)
     moving.register(scans[0])
     moving.register(scans[1], step)
@@ -166,7 +166,7 @@ def test_without_a_guess_the_velocity_is_kept() -> None:
 
 def test_the_map_forgets_what_lies_far_back() -> None:
     poses, scans = drive(40)
-    whole, short = ScanOdometry(), ScanOdometry(OdometryOptions(memory_m=1.0))
+    whole, short = ScanOdometry(), ScanOdometry(KissIcpOptions(memory_m=1.0))
     for k, points in enumerate(scans):
         whole.register(points, STEP if k else None)
         found = short.register(points, STEP if k else None)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graphslam.scan import planar
-from graphslam.scan.odometry import OdometryOptions, ScanOdometry
+from graphslam.scan.odometry import KissIcpOptions, ScanOdometry
 from graphslam.scan.registration import ScanError
 from tests.graphslam.numerics import Array
 from tests.graphslam.scan.shapes import HALL, box, scan
@@ -21,7 +21,7 @@ BAD: dict[str, Callable[[], object]] = {
 }
 
 
-def started(options: OdometryOptions | None = None, scans: int = 6) -> ScanOdometry:
+def started(options: KissIcpOptions | None = None, scans: int = 6) -> ScanOdometry:
     """Odometry that has got its first scans."""
     odometry = ScanOdometry(options)
     for points in drive(scans)[1]:
@@ -59,7 +59,7 @@ def test_a_bad_scan_leaves_no_trace(bad: str, guessed: bool) -> None:
 def test_after_a_gap_the_vehicle_is_taken_to_go_on_as_fast() -> None:
     """The increment over two scans is no velocity per scan: the next one is half as far away."""
     scans = drive(12)[1]
-    odometry = started(OdometryOptions(blind_jump_m=0.1, most_jump_rad=0.05))
+    odometry = started(KissIcpOptions(blind_jump_m=0.1, most_jump_rad=0.05))
     for _ in range(2):
         with pytest.raises(ScanError):
             odometry.register(np.zeros((0, 3)))
@@ -87,7 +87,7 @@ def test_a_guess_that_is_no_motion_costs_one_scan_only(guess: Array) -> None:
 
 def test_a_new_map_begins_where_the_guesses_lead() -> None:
     scans = drive(14)[1]
-    odometry = started(OdometryOptions(patience=3), 5)
+    odometry = started(KissIcpOptions(patience=3), 5)
     last = odometry.pose.copy()
     guess = np.array((0.19, 0.0, 0.07))
     expected = last
@@ -109,7 +109,7 @@ def test_a_new_map_begins_where_the_guesses_lead() -> None:
 
 def test_without_guesses_a_new_map_begins_where_the_velocity_leads() -> None:
     scans = drive(14)[1]
-    odometry = started(OdometryOptions(patience=2), 5)
+    odometry = started(KissIcpOptions(patience=2), 5)
     last = odometry.pose.copy()
     for _ in range(5):
         with pytest.raises(ScanError):
@@ -138,7 +138,7 @@ def test_a_scan_of_another_place_is_refused() -> None:
 @pytest.mark.parametrize("aside", [(0.6, 0.0, 0.0), (0.0, -0.6, 0.0), (0.0, 0.0, 0.3)])
 def test_a_jump_from_the_guess_is_refused(aside: tuple[float, ...]) -> None:
     scans = drive(7)[1]
-    near = OdometryOptions(blind_threshold_m=1.0, threshold_m=1.0)
+    near = KissIcpOptions(blind_threshold_m=1.0, threshold_m=1.0)
     far = replace(near, most_jump_m=0.3, most_jump_rad=0.15)
     guess = STEP + aside
     found = started(near).register(scans[6], guess)

@@ -65,7 +65,7 @@ def test_a_covariance_is_carried_as_odometry_composes_it() -> None:
     for _ in range(20):
         moves = np.array([random_motion(rng) for _ in range(2)])
         spread = np.array([random_covariance(rng, 3) for _ in range(2)])
-        samples = increments.Samples(moves, spread)
+        samples = increments.MotionSamples(moves, spread)
         whole = increments.compose(samples, np.zeros(2, dtype=np.intp), 1)
         assert relative_error(planar.compose(*moves), whole.displacement[0]) < 1e-13
         carried = planar.carried(spread[0], moves[1]) + spread[1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graphslam.scan import planar
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.points import (
     LEAST_POINTS,
     above_ground,
@@ -109,7 +109,7 @@ def test_planar_scans_have_no_ground() -> None:
     assert above_ground(np.zeros((0, 3)), 0.3).shape == (0, 3)
     flat[::5] = np.nan
     assert np.array_equal(above_ground(flat, 0.3), flat, equal_nan=True)
-    assert len(OdometryOptions(least_range_m=0.0).prepared(flat)) == 40
+    assert len(KissIcpOptions(least_range_m=0.0).prepared(flat)) == 40
 
 
 def cloud(count: int = 100) -> Array:
@@ -175,7 +175,7 @@ def test_what_is_no_cloud_is_refused_in_a_line(bad: str) -> None:
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 150
     with pytest.raises(ScanError):
-        OdometryOptions().prepared(points)
+        KissIcpOptions().prepared(points)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int32, np.uint8, ">f8"])

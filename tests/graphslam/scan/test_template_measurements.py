@@ -9,7 +9,7 @@ import pytest
 from graphslam.problem import SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.matchers import SurfaceMatcher
-from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.odometry import KissIcpOptions
 from graphslam.scan.open3d_matchers import GeneralisedMatcher
 from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
 from graphslam.scan.template_measurements import (
@@ -76,7 +76,7 @@ def seen(
         2: template(first, 0, (0.0, 5.5), 1.5),  # a piece of the wall
         3: template(seen_clouds[7], 7, (8.0, -5.5), 2.0),  # a corner
     }
-    matchers = TemplateMatchers(OdometryOptions.for_noise(SIGMA_M), GeneralisedMatcher)
+    matchers = TemplateMatchers(KissIcpOptions.for_noise(SIGMA_M), GeneralisedMatcher)
     options = TemplateOptions(shared_m=shared_m)
     return measure_templates(given, templates, seen_clouds, matchers, options)
 
@@ -178,7 +178,7 @@ def test_a_template_without_surfaces_begins_as_vaguely_as_it_is_told(
 ) -> None:
     rng = np.random.default_rng(0)
     points = np.column_stack((rng.uniform(-1.0, 1.0, (12, 2)), np.zeros(12)))
-    matchers = TemplateMatchers(OdometryOptions.for_noise(SIGMA_M), SurfaceMatcher)
+    matchers = TemplateMatchers(KissIcpOptions.for_noise(SIGMA_M), SurfaceMatcher)
     spread = matchers.initialised(Template(0, np.zeros(3), points), points[:1], 0.05)
     np.testing.assert_allclose(
         np.sqrt(np.diag(spread)), (0.05, 0.05, 0.05 / lever_m(points)), rtol=1e-9
@@ -187,7 +187,7 @@ def test_a_template_without_surfaces_begins_as_vaguely_as_it_is_told(
 
 @pytest.mark.parametrize("sigma_m", [0.02, 0.1])
 def test_options_follow_the_noise(sigma_m: float) -> None:
-    settings = OdometryOptions.for_noise(sigma_m)
+    settings = KissIcpOptions.for_noise(sigma_m)
     options = TemplateOptions.suited(settings, sigma_m)
     assert options.shared_m == sigma_m
     assert options.most_residual_m >= 0.4 * settings.refinement.reach_m

@@ -1,0 +1,1 @@
+"""Other programs' work beside ours: `python -m research.peers [--help]`."""

@@ -1,0 +1,1 @@
+"""What a verdict is worth, measured: `python -m research.trust [--help]`."""
