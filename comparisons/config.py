@@ -201,8 +201,8 @@ class LogSection(SettingsGroup):
 
 
 _GPS = (
-    "Absolute positions (GPS). on: fuse all; half: fuse those of every second block of 60 s "
-    "and hold the others out as a reference"
+    "Absolute positions (GPS). on: fuse all; half: fuse those of every second block of at "
+    "least 60 s and hold the others out as a reference"
 )
 _GPS_HELP = "GPS: off, on, or half (hold out every second minute). [off]"
 

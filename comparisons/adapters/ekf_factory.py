@@ -37,10 +37,10 @@ LEAST_GAIN = 1e-4
 SHARE = 0.6
 """Of all states in an area from which on the exact compressed filter takes them all: to keep phi
 would cost more than it saves."""
-HOLD_OUT_BLOCK_S, LEAST_BLOCKS = 60.0, 4
-"""Length of the blocks of positions of which every second one is held out, and the least number of
-them, for which they are shorter. A receiver's errors are alike over some ten seconds: what lies
-between two that are fused shows how well a filter follows the receiver."""
+LEAST_BLOCK_S, LEAST_BLOCKS = 60.0, 4
+"""Shortest blocks of positions of which every second one is held out; shorter ones where these
+would be fewer. A receiver's errors are alike for some ten seconds: a position between two that are
+fused shows how well a filter follows the receiver."""
 NO_GATE = float("inf")
 """Of labels and positions in Misono's published filter, which rejects nothing."""
 WIDER = 2.0
@@ -179,13 +179,17 @@ def _fused(log: Log, choices: EkfConfig) -> NDArray[np.intp]:
     inside = np.flatnonzero((time >= log.prior.time_s) & (time <= log.end_s))
     if choices.gps != "half" or not len(inside):
         return inside
-    since_s = time[inside] - time[inside[0]]
-    return inside[since_s // hold_out_block_s(since_s[-1]) % 2 == 0]
+    fused: NDArray[np.intp] = inside[hold_out_blocks(time[inside]) % 2 == 0]
+    return fused
 
 
-def hold_out_block_s(duration_s: float) -> float:
-    """Return the length of blocks of positions. duration_s: from the first position to the last."""
-    return min(HOLD_OUT_BLOCK_S, duration_s / LEAST_BLOCKS) or HOLD_OUT_BLOCK_S
+def hold_out_blocks(time_s: Array) -> NDArray[np.intp]:
+    """Return the block (N,) of each position, equally long ones. time_s: (N,) ascending."""
+    duration_s = float(time_s[-1] - time_s[0])
+    count = max(LEAST_BLOCKS, int(duration_s / LEAST_BLOCK_S))
+    share = (time_s - time_s[0]) / (duration_s or 1.0)
+    blocks: NDArray[np.intp] = np.minimum((share * count).astype(np.intp), count - 1)
+    return blocks
 
 
 def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions | None:

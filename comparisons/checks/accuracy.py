@@ -103,14 +103,23 @@ class Accuracies:
 class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
     """Errors of a job's estimates."""
 
-    def __init__(self, each: Mapping[str, Accuracy | None], entries: Mapping[str, Any]) -> None:
-        """each: by the name of the estimate. entries: as the job's result has them."""
+    def __init__(
+        self,
+        each: Mapping[str, Accuracy | None],
+        entries: Mapping[str, Any],
+        held_out: Sequence[Row] = (),
+    ) -> None:
+        """each: by the name of the estimate. entries: as the job's result has them.
+
+        held_out: rows on the positions that no estimator was given on purpose.
+        """
         super().__init__(each, entries=entries)
         self.lines = accuracy_lines(each)
+        self.held_out = held_out
 
     def rows(self) -> Sequence[Row]:
-        """Return the rows of each."""
-        return [
+        """Return the rows of each, after those on what they are measured against."""
+        return [*self.held_out] + [
             row
             for name, one in self.value.items()
             for row in accuracy_rows(_WORDS.get(name, f"the {name}"), one)
@@ -133,12 +142,13 @@ class CheckAccuracy(Check):
         }
         if None in each.values():
             return Absent("the log has neither truth nor positions that no estimator has used")
+        held_out = _held_out(known)
         if known.solved is None:
-            return AccuracyFinding(each, {"accuracy": each["EKF"]})
+            return AccuracyFinding(each, {"accuracy": each["EKF"]}, held_out)
         optimum = each[known.called]
         if known.given is not None:
             both = {"accuracy": each["estimate"], "smoother_accuracy": optimum}
-            return AccuracyFinding(each, both)
+            return AccuracyFinding(each, both, held_out)
         ways = {"odometry": known.dead_reckoned} if known.ways is None else known.ways
         epochs_s = known.timeline.epoch_time_s
         beside = {name: assess_trajectory(epochs_s, pose, judged) for name, pose in ways.items()}
@@ -149,7 +159,18 @@ class CheckAccuracy(Check):
         if known.run is not None:
             compared = (each["EKF"], optimum, beside["odometry"])
             entries = {"accuracy": Accuracies(*compared)}  # type: ignore[arg-type]
-        return AccuracyFinding(each | beside, entries)
+        return AccuracyFinding(each | beside, entries, held_out)
+
+
+def _held_out(known: Known) -> list[Row]:
+    """What is said of the positions that are held out."""
+    judging, positions = known.prepared.judged.positions, known.prepared.log.positions
+    if known.prepared.ekf.gps != "half" or judging is None or positions is None:
+        return []
+    count, total = len(judging.time_s), len(positions.time_s)
+    breaks = np.flatnonzero(np.diff(np.searchsorted(positions.time_s, judging.time_s)) > 1)
+    words = f"{count:,} of {total:,}, in {len(breaks) + 1} blocks"
+    return [Row("Accuracy", "positions held out", words)]
 
 
 def accuracy_lines(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:

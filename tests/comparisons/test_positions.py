@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import fused_positions, held_out_positions, settle
+from comparisons.adapters.ekf_factory import (
+    LEAST_BLOCK_S,
+    fused_positions,
+    held_out_positions,
+    hold_out_blocks,
+    settle,
+)
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.qualifiers import CONTRADICTED
@@ -176,7 +182,9 @@ def test_held_back_positions_judge(antenna: tuple[float, float]) -> None:
 def test_no_position_judges_what_it_was_given_to() -> None:
     log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
     every = present(log.positions).time_s.tolist()
-    for gps, fused_count in (("off", 0), ("half", (len(every) + 1) // 2), ("on", len(every))):
+    half = np.count_nonzero(hold_out_blocks(np.array(every)) % 2 == 0)
+    assert abs(half - len(every) / 2) <= 2
+    for gps, fused_count in (("off", 0), ("half", half), ("on", len(every))):
         choices = EkfConfig(association="known", gps=gps)
         fused, judging = fused_positions(log, choices), held_out_positions(log, choices)
         given = [] if fused is None else fused.time_s.tolist()
@@ -185,6 +193,25 @@ def test_no_position_judges_what_it_was_given_to() -> None:
         assert sorted(given + judges) == every
     c = compared(log, association="known", gps="on")
     assert present(c.accuracy.ekf).gps_median_m is None
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "blocks", "block_s"), [(1600.0, 26, 61.5), (30.0, 4, 7.5), (240.0, 4, 60.0)]
+)
+def test_positions_are_held_out_in_blocks(duration_s: float, blocks: int, block_s: float) -> None:
+    """Of a minute at least; four of a short log. No single position is left at the end."""
+    time_s = 100.0 + np.linspace(0.0, duration_s, 401)
+    block = hold_out_blocks(time_s)
+    assert np.unique(block).tolist() == list(range(blocks))
+    counts = np.bincount(block)
+    assert counts.max() - counts.min() <= 1
+    lengths = [np.ptp(time_s[block == k]) for k in range(blocks)]
+    assert max(lengths) == pytest.approx(block_s, abs=duration_s / 400)
+    assert block_s >= LEAST_BLOCK_S or blocks == 4
+
+
+def test_positions_at_one_instant_are_one_block() -> None:
+    assert hold_out_blocks(np.full(3, 5.0)).tolist() == [0, 0, 0]
 
 
 @pytest.mark.slow
