@@ -19,19 +19,19 @@ GUIVANT = (
         place="G 4.2", what="gate of absolute positions: none", value=math.inf,
         at="ekf.position_gate", when={"ekf.gps": ("on", "half"), "ekf.filter": _OF_HEADINGS},
         absent="13.82", defaults=("ekf_reference.models.position:PositionFixes.gate",),
-        reason="on Victoria Park (--filter compressed-suboptimal --gps half) 300 of 2,233 "
-        "positions that are off are then fused: the mean NIS of positions is 19.4 instead of 1.34, "
-        "and filter and smoother are 0.054 m apart in the map instead of 0.025; from the positions "
-        "held out 0.733 m instead of 0.761",
+        reason="on Victoria Park (--filter compressed-suboptimal --gps half) 387 of 2,523 "
+        "positions that are off are then fused: the mean NIS of positions is 3.0 instead of 1.34; "
+        "from the positions held out the filter is 0.895 m (median) instead of 0.983, the smoother "
+        "0.870 instead of 0.868",
     ),
     Documented(
         place="G 5, Fig. 6", what="accuracy of the positions in Victoria Park's log", value=0.1,
         unit="m", at="log.sigma_position_m", when={"log.format": ("victoria-park",)},
         absent="0.5 m",
-        reason="gps.dat does not say how good a position is: at 0.1 m the gate rejects 2,200 of "
-        "the 2,233 positions of --filter compressed --gps half, at 0.5 m 300; without a gate, as "
-        "the preset has it, 0.1 m pulls the path to within 0.356 m of the positions held out, but "
-        "their mean NIS is 301 and 57 of 327 landmarks are not the smoother's",
+        reason="gps.dat does not say how good a position is: at 0.1 m the gate rejects 2,361 of "
+        "2,523 positions (--gps half), at 0.5 m 387; without a gate, as the preset has it, their "
+        "mean NIS is 25, 23 of 335 landmarks are not the smoother's, and the filter is 1.110 m "
+        "from the positions held out (median) where with 0.5 m it is 0.895",
     ),
 )  # fmt: skip
 
