@@ -280,7 +280,7 @@ class TraceRecords(FilterRecords):
         A snapshot of the end alone shows no more than the gap does.
         """
         file = self.file
-        if file.former or not file.path.is_file():
+        if not file.path.is_file():
             return ()
         from comparisons.audit.algebra import faults_of
 

@@ -102,7 +102,7 @@ def test_hostile_values(name: str, file: str, old: str, new: str, message: str) 
         ("log folder", "measurements.csv"),
         ("aa3", "aa3_lsr2.mat"),
         ("g2o", "graph.g2o"),
-        ("estimate folder", "trace.npz"),
+        ("estimate folder", "filter.trace"),
         ("baseline", "kept.json"),
     ],
 )
