@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
-from comparisons.errors import InputError, check_regular, outdated_format, quoted, shorten
+from comparisons.errors import InputError, check_regular, quoted, shorten
 from comparisons.trace.batch import unpack
 from comparisons.trace.events import Event, SensorDescription
 from comparisons.trace.rows import EventReader, batch_rows, distinct, is_block
@@ -206,8 +206,10 @@ class TraceReader:
         if application != APPLICATION:
             raise InputError(f"{self.path}: is no filter's trace, but another SQLite file")
         if version == 1:
-            mend = "record the filter anew with slamcheck.Recorder"
-            raise outdated_format(self.path, "a trace of version 1", mend)
+            raise InputError(
+                f"{self.path}: is a trace of version 1, of a development version after slamcheck "
+                "0.2, which no release reads; record the filter anew with slamcheck.Recorder"
+            )
         if version != VERSION:
             raise InputError(
                 f"{self.path}: is a trace of version {version}, expected {VERSION}; "

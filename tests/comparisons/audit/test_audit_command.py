@@ -57,7 +57,7 @@ def test_what_is_no_trace_is_one_line(tmp_path: Path, name: str, text: str) -> N
 
 def test_a_trace_of_an_earlier_version_and_a_damaged_one_are_one_line(tmp_path: Path) -> None:
     for name, sql, said in (
-        ("old", "PRAGMA user_version = 1", "is a trace of version 1, which slamcheck 0.2 reads"),
+        ("old", "PRAGMA user_version = 1", "is a trace of version 1, of a development version"),
         ("damaged", "UPDATE batch SET first = 1", "event 1: stands after event -1, expected 0"),
     ):
         Toy(seed=1, steps=12).record(tmp_path / f"{name}.trace")

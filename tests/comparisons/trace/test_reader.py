@@ -402,8 +402,8 @@ BAD_FILES: dict[str, tuple[tuple[str, ...], str]] = {
     "another application": (("PRAGMA application_id = 7",), ": is no filter's trace, but another"),
     "an earlier version": (
         ("PRAGMA user_version = 1", "DROP TABLE batch", "CREATE TABLE event (number INTEGER)"),
-        ": is a trace of version 1, which slamcheck 0.2 reads and this release does not; record "
-        "the filter anew with slamcheck.Recorder",
+        ": is a trace of version 1, of a development version after slamcheck 0.2, which no "
+        "release reads; record the filter anew with slamcheck.Recorder",
     ),
     "a later version": (("PRAGMA user_version = 3",), ": is a trace of version 3, expected 2; use"),
     "a table more": (("CREATE TABLE x (y)",), ": table 'x' is not as a recorder's"),
