@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from comparisons.atomic import Kind, begins, write_whole
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig
-from comparisons.errors import InputError, quoted, shorten
+from comparisons.errors import InputError, outdated_format, quoted, shorten
 from comparisons.figures import Number, Side
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
@@ -38,8 +38,6 @@ NOISE = 3.0
 
 _METRIC = re.compile(r'\{\s+("value": .*),\s+("tolerance": .*)\s+\}')
 _WHICH = ("source", "sha256")
-_GONE = ("scan_slam.enriched",)
-"""Figures that earlier baselines have."""
 
 
 class _Model(BaseModel):
@@ -156,7 +154,6 @@ def updated(baseline: Baseline, found: Found, config: RunConfig | CheckConfig) -
         kept[name] = Metric(value=one.value, tolerance=tolerance)
     return baseline.model_copy(
         update={
-            "version": Baseline.model_fields["version"].default,
             "config": baseline.config or _kept_config(config),
             "verdict": found.verdict,
             "words": _words(found),
@@ -180,8 +177,8 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
         raise InputError(
             f"{found.log.name}: is not the log of the baseline ({shorten(baseline.log)}"
             f"{', another of this name' if found.log.name == baseline.log else ''}): its streams "
-            "differ, or slamcheck 0.2 or older saved it; save a new baseline: slamcheck baseline "
-            f"save LOG NEW.json{' --estimate PATH' if baseline.of_estimate else ''}"
+            "differ; save a new baseline: slamcheck baseline save "
+            f"LOG NEW.json{' --estimate PATH' if baseline.of_estimate else ''}"
         )
     return changes_of(baseline, _all_words(found), figures(found))
 
@@ -208,17 +205,14 @@ def read_baseline(path: Path) -> Baseline:
     text = read_text(path)
     try:
         version = _Versioned.model_validate_json(text).version
-        if version in (1, 2):
-            raise InputError(
-                f"{path}: version {version} of slamcheck 0.1, which 0.2 reads; save a new one"
-            )
-        if version not in (3, 4):
-            raise InputError(f"{path}: version {quoted(version)}, expected 3 or 4")
+        if version in (1, 2, 3):
+            mend = "save a new one with slamcheck baseline save"
+            raise outdated_format(path, f"a baseline of version {version}", mend)
+        if version != 4:
+            raise InputError(f"{path}: version {quoted(version)}, expected 4")
         kept = Baseline.model_validate_json(text)
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None
-    there = {name: metric for name, metric in kept.metrics.items() if name not in _GONE}
-    kept = kept.model_copy(update={"metrics": there})
     try:
         kept.config_at(kept.log)
     except InputError as error:

@@ -27,7 +27,7 @@ from pydantic_core import PydanticCustomError
 from comparisons.documented.row import PRESETS, Preset
 from comparisons.errors import InputError, quoted, shorten
 from comparisons.extension_names import EXTENSIONS
-from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where, renamed_settings
+from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where
 
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
 Gps = Literal["off", "on", "half"]
@@ -474,10 +474,9 @@ class JobConfig(SettingsGroup):
     @model_validator(mode="before")
     @classmethod
     def _published(cls, given: Any) -> Any:
-        """Read earlier spellings; put the document's values where nothing was given."""
+        """Put the document's values where nothing was given."""
         if not isinstance(given, Mapping):
             return given
-        given, _ = renamed_settings(given)
         preset = given.get("preset", "recommended")
         if preset not in PRESETS.values():
             return given

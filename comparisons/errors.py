@@ -32,6 +32,19 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
+def outdated_format(place: object, what: str, mend: str) -> InputError:
+    """Return the error for what the release 0.2 was the last to read.
+
+    Args:
+        place: A file or folder.
+        what: Its format, with an article.
+        mend: How a file of today's format is made.
+    """
+    return InputError(
+        f"{place}: is {what}, which slamcheck 0.2 reads and this release does not; {mend}"
+    )
+
+
 class RecordError(InputError):
     """A record of a log that breaks its contract.
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from comparisons.config import RunConfig, SettingsGroup, setting_default
-from comparisons.errors import InputError, note, quoted, shorten
+from comparisons.errors import InputError, quoted, shorten
 from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.table import parse_toml, read_toml
-from comparisons.options import RENAMED, Flag, below, merge, renamed_settings
+from comparisons.options import Flag, below, merge
 from comparisons.options.table import FLAGS, of_job
 
 C = TypeVar("C", bound=SettingsGroup)
@@ -38,8 +38,7 @@ def configure(
     for given, source in ((found, f"{file}: "), (over or {}, "")):
         _check_sections(job, given, source)
     recorded = dict(found.get("log", {})) if "log" in job.model_fields else {}
-    source = "" if file is None else f"{file}: "
-    found = merge(_as_now(found, source), _as_now(over or {}))
+    found = merge(found, over or {})
     named = {setting.partition("=")[0].strip() for setting in settings}
     if "preset" in named or any(
         flag.field == "preset" for flag, _ in flags
@@ -49,7 +48,7 @@ def configure(
         found = without_documented(found, setting_default)
     _lay_over(found, flags)
     for setting in settings:
-        found = merge(found, _as_now(_nested(job, setting), "--set "))
+        found = merge(found, _nested(job, setting))
     if "sha256" in recorded and _other_log(found["log"], recorded):
         found["log"].pop("sha256", None)
     try:
@@ -83,24 +82,17 @@ def run_options(values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
 def by_name(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
     """Return flags with values by their options' names, as `filter` or `smoother_association`.
 
-    Earlier values are read, with a note. Raises InputError for a name that no flag of
-    the table has.
+    Raises InputError for a name that no flag of the table has.
     """
     known = {flag.name.rstrip("_"): flag for flag in table}
     found = []
     for name, given in values.items():
-        new = value = str(given) if isinstance(given, Path) else given
-        for one in RENAMED:
-            if one.option == f"--{name.replace('_', '-')}" and isinstance(value, str):
-                new = one.values.get(value, value)
         flag = known.get(name.replace("-", "_"))
         if flag is None:
             raise InputError(
                 f"option {shorten(name)}: is unknown, expected some of {', '.join(known)}"
             )
-        if new != value:
-            note(f"{name}={quoted(value)} is now {name}={quoted(new)}")
-        found.append((flag, new))
+        found.append((flag, str(given) if isinstance(given, Path) else given))
     return found
 
 
@@ -124,14 +116,6 @@ def _check_applies(config: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
             continue
         if below(config, flag.where.field) != flag.where.value:
             raise InputError(f"{flag.option} {shorten(value)} goes with {flag.where.words}")
-
-
-def _as_now(given: Mapping[str, Any], source: str = "") -> dict[str, Any]:
-    """Return settings with earlier spellings as they are now, each with a note."""
-    found, notes = renamed_settings(given)
-    for text in notes:
-        note(source + text)
-    return found
 
 
 def _check_sections(job: type[SettingsGroup], given: Mapping[str, Any], source: str) -> None:

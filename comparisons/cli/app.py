@@ -19,8 +19,6 @@ import typer
 
 from comparisons.cli.flags import DenseHelpCommand
 from comparisons.cli.support import BROKEN, INTERRUPTED, UNUSABLE, fail
-from comparisons.errors import note
-from comparisons.options import renamed_words
 
 PANELS = {
     "Main": {
@@ -216,9 +214,6 @@ def _run(stopped: Sequence[int]) -> NoReturn:
         else:
             whole = f"_{PROGRAM.upper()}_COMPLETE" in os.environ
             name, command, words = PROGRAM, build(whole=whole), sys.argv[1:]
-        words, notes = renamed_words(words)
-        for text in notes:
-            note(text)
         code = command(args=words, prog_name=name, standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
     except (KeyboardInterrupt, typer.Abort):

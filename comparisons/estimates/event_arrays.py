@@ -48,9 +48,10 @@ COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
 class PlanarEvents(NamedTuple):
     """A trace's columns, and the landmarks' blocks.
 
-    arrays: by name, as `trace.npz` of 0.2 had them; a row whose Jacobian is zero is of an entry
-    that was not used. A column of landmarks holds the blocks' indices. blocks: (B,) names, by
-    index, of all blocks that have been. removed: indices of those that the filter has removed.
+    arrays: the prior's pose and covariance, and COLUMNS by part and name; a row whose Jacobian is
+    zero is of an entry that was not used. A column of landmarks holds the blocks' indices. blocks:
+    (B,) names, by index, of all blocks that have been. removed: indices of those that the filter
+    has removed.
     """
 
     arrays: dict[str, Array]

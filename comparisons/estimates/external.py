@@ -24,7 +24,7 @@ from comparisons.estimates.folder import (
     read_trajectory,
 )
 from comparisons.estimates.landmark_names import LandmarkNames, is_whole
-from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
+from comparisons.estimates.trace_file import OUTDATED_TRACE, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.readers.ros_bag import recognise_bag
 from comparisons.logs.stamps import Nanoseconds
@@ -269,7 +269,7 @@ def read_external(
     if path.is_dir():
         if times is not None:
             raise InputError(f"{path}: is a folder; --times is for KITTI files")
-        found = (path / name for name in (TRACE, FORMER) if (path / name).exists())
+        found = (path / name for name in (TRACE, OUTDATED_TRACE) if (path / name).exists())
         chosen = next(found, None) if trace is None else Path(trace)
         own = [path / name for name in FILES] + ([] if chosen is None else [chosen])
         return replace(_read_folder(path, chosen), sha256=_hashes(own))

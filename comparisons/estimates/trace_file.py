@@ -1,7 +1,4 @@
-"""What a filter linearised where, on disk, so that another's algebra can be judged.
-
-A recorder's trace, or `trace.npz` of 0.2.
-"""
+"""What a filter linearised where, on disk, so that another's algebra can be judged."""
 
 from __future__ import annotations
 
@@ -10,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError, quoted
-from comparisons.estimates.event_arrays import COLUMNS, PlanarEvents, event_arrays
+from comparisons.errors import InputError, outdated_format, quoted
+from comparisons.estimates.event_arrays import PlanarEvents, event_arrays
 from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.stored_precision import stored_rounding
-from comparisons.logs.validation import LARGEST, LARGEST_ID
-from comparisons.trace.reader import OUTDATED, TraceReader
+from comparisons.logs.validation import LARGEST
+from comparisons.trace.reader import TraceReader
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (
     VEHICLE,
@@ -27,10 +23,9 @@ from ekf_reference.core.trace import (
     stack_records,
 )
 
-TRACE, FORMER = "filter.trace", "trace.npz"
-"""One of them stands in an estimate folder."""
+TRACE, OUTDATED_TRACE = "filter.trace", "trace.npz"
+"""In an estimate folder; the latter is refused."""
 
-_PRIOR = {"prior_pose": (3,), "prior_covariance": (3, 3)}
 _COVARIANCES = (
     *("prior_covariance", "step_q", "update_noise", "initialise_noise", "position_noise"),
 )
@@ -62,11 +57,6 @@ class TraceFile:
     blocks: tuple[str, ...] = ()
     removed: tuple[int, ...] = ()
     removed_id: tuple[int, ...] = ()
-
-    @property
-    def former(self) -> bool:
-        """It is of slamcheck 0.2, and has no events."""
-        return self.path.suffix == Path(FORMER).suffix
 
     @property
     def measurements_used(self) -> int:
@@ -121,11 +111,10 @@ def _at_places(trace: TraceArrays, places: Index) -> TraceArrays:
 
 
 def read_trace(path: Path) -> TraceFile:
-    """Read a trace. Raises InputError naming the event, or the array of a trace of 0.2."""
-    if path.suffix == ".npz":
-        outdated = (f"{path.name} {OUTDATED}",)
-        arrays = _former_arrays(path)
-        return _checked(path, PlanarEvents(arrays, _former_blocks(arrays)), outdated)
+    """Read a trace. Raises InputError naming the event."""
+    if path.suffix == Path(OUTDATED_TRACE).suffix:
+        mend = "record the filter anew with slamcheck.Recorder"
+        raise outdated_format(path, "a trace in arrays", mend)
     trace = TraceReader(path)
     planar = event_arrays(trace)
     unsound = ""
@@ -134,40 +123,6 @@ def read_trace(path: Path) -> TraceFile:
         others = len(faults) - 1
         unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
     return _checked(path, planar, trace.remarks, unsound)
-
-
-def _former_arrays(path: Path) -> dict[str, Array]:
-    """Return the arrays of a `trace.npz`. Raises InputError naming the array.
-
-    Positions and weights may be absent: none, and one.
-    """
-    shapes: dict[str, Shape] = dict(_PRIOR)
-    for part, columns in COLUMNS.items():
-        shapes |= {f"{part}_{name}": (f"{part}s", *shape) for name, shape in columns.items()}
-    found = read_arrays(path, shapes)
-    if "position_step" not in found:
-        none = {f"position_{name}": np.zeros((0, *s)) for name, s in COLUMNS["position"].items()}
-        found = none | found
-    missing = [name for name in shapes if name not in found and not name.endswith("_weight")]
-    if missing:
-        raise InputError(f"{path}: holds no {missing[0]} (traces of 0.1: slamcheck 0.2 reads them)")
-    for part in ("update", "initialise", "position"):
-        found.setdefault(f"{part}_weight", np.ones(len(found[f"{part}_step"])))
-    for name, array in found.items():
-        if name not in _COVARIANCES:
-            _check(path, name, array)
-    return found
-
-
-def _former_blocks(found: dict[str, Array]) -> tuple[str, ...]:
-    """Return the numbers of landmarks as blocks, and put the blocks' indices in their place."""
-    parts = ("update_landmark", "initialise_landmark")
-    numbers, index = np.unique(
-        np.concatenate([found[part] for part in parts]).astype(np.int64), return_inverse=True
-    )
-    split = len(found[parts[0]])
-    found |= {parts[0]: index[:split].astype(float), parts[1]: index[split:].astype(float)}
-    return tuple(map(str, numbers.tolist()))
 
 
 def _checked(
@@ -222,16 +177,20 @@ def _is_figure(name: str) -> bool:
     return name.partition("_")[2] not in (*_WHOLE, "weight", "time_s")
 
 
+def _number(part: str) -> str:
+    """Return the name of the column of the measurements' numbers."""
+    return f"{part}_{'number' if part == 'position' else 'measurement'}"
+
+
 def _records(
     found: dict[str, Array], part: str, landmark_index: Index, jacobian_other: str | None
 ) -> MeasurementRecords:
     """Return the records of one part of the file; without landmarks where it names none."""
     noise = found[f"{part}_noise"]
     nothing, none = np.zeros(noise.shape[:2]), noise[:, :, :0]
-    number = "number" if jacobian_other is None else "measurement"
     return MeasurementRecords(
         step=found[f"{part}_step"].astype(np.intp),
-        number=found[f"{part}_{number}"].astype(np.intp),
+        number=found[_number(part)].astype(np.intp),
         landmark_index=landmark_index,
         pose=found[f"{part}_pose"],
         landmark=found.get(f"{part}_point", nothing[:, :0]),
@@ -246,27 +205,16 @@ def _records(
     )
 
 
-def _check(path: Path, name: str, array: Array) -> None:
-    if not (np.abs(array) <= LARGEST**2).all():
-        raise InputError(f"{path}: {name} holds a value that is not a number up to {LARGEST**2:g}")
-    if (
-        name.partition("_")[2] in _WHOLE
-        and not ((array == np.round(array)) & (array >= 0) & (array < LARGEST_ID)).all()
-    ):
-        raise InputError(f"{path}: {name} holds a value that is not a whole number of 0 or more")
-
-
 def _check_contents(path: Path, found: dict[str, Array]) -> None:
-    """Orders, ranges and weights."""
-    count = len(found["step_time_s"])
-    if not count:
+    """Orders, whole numbers and weights."""
+    if not len(found["step_time_s"]):
         raise InputError(f"{path}: holds no steps")
     if (np.diff(found["step_time_s"]) <= 0).any():
         raise InputError(f"{path}: step_time_s must increase")
     for part in ("update", "initialise", "position"):
-        step, weight = found[f"{part}_step"], found[f"{part}_weight"]
-        if (np.diff(step) < 0).any() or (step > count).any():
-            raise InputError(f"{path}: {part}_step must ascend from 0 to at most {count} steps")
+        number, weight = found[_number(part)], found[f"{part}_weight"]
+        if (number != np.round(number)).any():
+            raise InputError(f"{path}: {_number(part)} holds a value that is not a whole number")
         smallest = 0.0 if part == "initialise" else 1e-9
         if not ((weight >= smallest) & (weight <= 1.0)).all():
             raise InputError(f"{path}: {part}_weight holds a value outside {smallest:g} to 1")

@@ -84,8 +84,7 @@ class TraceCheck(GapFigures):
         updates: updates.
         initialised: initialised landmarks.
         positions: absolute positions.
-        innovations: by sensor, whitened by the recorded equations; none of a trace of 0.2, which
-            has no events.
+        innovations: by sensor, whitened by the recorded equations.
         known: of the filter that left it; no part of a result file, as what follows.
         algebra: None where the estimate lacks the joint covariance.
         verdict: with causes.
@@ -280,7 +279,7 @@ class TraceRecords(FilterRecords):
         A snapshot of the end alone shows no more than the gap does.
         """
         file = self.file
-        if file.former or not file.path.is_file():
+        if not file.path.is_file():
             return ()
         from comparisons.audit.algebra import faults_of
 

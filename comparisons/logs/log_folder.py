@@ -14,7 +14,7 @@ import numpy as np
 from comparisons.archive import Shape, read_archive
 from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import fresh_folder
-from comparisons.errors import InputError, RecordError, naming
+from comparisons.errors import InputError, RecordError, naming, outdated_format
 from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, VARIANCES
 from comparisons.logs.log import (
     LandmarkMeasurements,
@@ -94,6 +94,7 @@ def _folder(path: Path) -> Path:
 
 def read_log_folder(folder: Path) -> Log:
     """Read a log folder. Raises InputError naming file, line, value and expectation."""
+    _check_names(folder)
     meta = read_meta(folder / MARK)
     start_s, provenance = origin(meta.prior.time_s), meta.provenance
 
@@ -112,7 +113,7 @@ def read_log_folder(folder: Path) -> Log:
             columns: dict[str, Any] = {name: table[name] for name in table.columns}
             return LandmarkMeasurements(**columns, **settings.model_dump())
 
-        name = _measurements_file(folder, kind)
+        name = f"{kind}measurements.csv"
         return part(name, _MEASUREMENTS, record, gaps=GAPS, optional=("intensity",))
 
     truth = Truth(
@@ -227,15 +228,13 @@ def _write_odometry(path: Path, odometry: Odometry) -> None:
         _write_csv(path, _ODOMETRY[kind], odometry.time_s, *odometry.controls)
 
 
-def _measurements_file(folder: Path, kind: str) -> str:
-    """Return the name of the file of measurements, which was called sightings.csv in version 0.1.
-
-    Raises InputError where both names are there.
-    """
-    path, former = folder / f"{kind}measurements.csv", folder / f"{kind}sightings.csv"
-    if path.exists() and former.exists():
-        raise InputError(f"{folder}: holds {path.name} and {former.name}, expected one of them")
-    return former.name if former.exists() else path.name
+def _check_names(folder: Path) -> None:
+    """Raise InputError for measurements by the name that the release 0.1 gave their file."""
+    for kind in ("", "known_"):
+        path = folder / f"{kind}sightings.csv"
+        if path.exists() and not (folder / f"{kind}measurements.csv").exists():
+            mend = f"call it {kind}measurements.csv, and [sightings] in {MARK} [measurements]"
+            raise outdated_format(path, "the name of slamcheck 0.1 for a log's measurements", mend)
 
 
 def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.errors import InputError, printable, shorten
 from comparisons.logs.log import Log
@@ -97,9 +97,7 @@ class LogModel(_Model):
     units: str = ""
     prior: _PriorModel
     odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
-    measurements: MeasurementsModel = Field(
-        default=MeasurementsModel(), validation_alias=AliasChoices("measurements", "sightings")
-    )
+    measurements: MeasurementsModel = MeasurementsModel()
     positions: PositionsModel = PositionsModel()
     scans: ScansModel = ScansModel()
     provenance: dict[str, str] = {}

@@ -3,13 +3,12 @@
     gate: float = setting(9.21, "Gate of a measurement", Option("--gate", ESTIMATORS), gt=0.0)
 
 `make settings` gathers the options of all settings in `options/table.py`, which help reads: the
-classes of the settings take longer to load than help may. Earlier spellings are read for one
-release.
+classes of the settings take longer to load than help may.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
@@ -121,70 +120,6 @@ def below(config: Mapping[str, Any], path: str) -> Any:
     return found
 
 
-class Renamed(NamedTuple):
-    """Earlier values of a setting, which are read for one release.
-
-    field: of the configuration. option: of the command line, empty where it has none. values: what
-    the earlier ones are now.
-    """
-
-    field: str
-    values: Mapping[str, str]
-    option: str = ""
-
-
-RENAMED = (
-    Renamed("preset", {"as-published": "nieto-2005"}, "--preset"),
-    Renamed("log.sigmas", {"calibrated": "log"}),
-)
-"""Every earlier spelling, of the command line, of `config.toml` and of Python."""
-
-UNUSED = {
-    "extensions.dense_maps.attribute_values": False,
-    "extensions.scan_landmarks.map_aided_matching": False,
-}
-"""Settings that there were, with the value of one that was not used, as earlier files have it."""
-
-
-def renamed_settings(config: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return nested mappings with earlier values as they are now, and notes of it.
-
-    A key that is gone and was not used is left out.
-    """
-    found, notes = dict(config), list[str]()
-    for one in RENAMED:
-        was = below(config, one.field)
-        if isinstance(was, str) and was in one.values:
-            section, _, key = one.field.rpartition(".")
-            _copied(found, section)[key] = one.values[was]
-            notes.append(f'{one.field} = "{was}" is now {one.field} = "{one.values[was]}"')
-    for path, unused in UNUSED.items():
-        section, _, key = path.rpartition(".")
-        if below(found, path) == unused:
-            del _copied(found, section)[key]
-    return found, notes
-
-
-def renamed_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return a command line's words with earlier values as they are now, and notes."""
-    values = {one.option: one.values for one in RENAMED if one.option}
-    found, notes, rest = list[str](), list[str](), list(words)
-    while rest:
-        word = rest.pop(0)
-        if word == "--":
-            return [*found, word, *rest], notes
-        option, equals, value = word.partition("=")
-        if option not in values or not (equals or rest):
-            found.append(word)
-            continue
-        was = value if equals else rest.pop(0)
-        now = values[option].get(was, was)
-        if now != was:
-            notes.append(f"{option} {was} is now {option} {now}")
-        found += [option, now]
-    return found, notes
-
-
 def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Put nested mappings over others; lists and values replace what they lie on."""
     found = dict(base)
@@ -194,11 +129,3 @@ def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
             value = merge(dict(below) if isinstance(below, Mapping) else {}, value)
         found[key] = value
     return found
-
-
-def _copied(config: dict[str, Any], section: str) -> dict[str, Any]:
-    """Return a section of nested mappings, copied there and on the way to it."""
-    for name in filter(None, section.split(".")):
-        config[name] = dict(config[name])
-        config = config[name]
-    return config

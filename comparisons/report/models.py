@@ -268,7 +268,7 @@ class SmootherResult(Model):
 
 
 SCHEMA = 4
-"""Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
+"""Raised when a field of `result.json` changes its meaning. 1 had no `schema`."""
 
 
 class Result(VerdictResult):

@@ -19,11 +19,11 @@ from rich.table import Table
 from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
-from comparisons.errors import InputError, printable, shorten
+from comparisons.errors import InputError, outdated_format, printable, shorten
 from comparisons.figures import kept_fields, numbers
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.models import Result, SmootherResult, found_numbers
+from comparisons.report.models import SCHEMA, Result, SmootherResult, found_numbers
 
 Cell = str | float | None
 Row = tuple[str, list[Cell]]
@@ -45,7 +45,6 @@ _FILES: dict[str, tuple[str, dict[str, str]]] = {
         {
             "graph": "smoother",
             "accuracy": "accuracy.smoother",
-            "scan_graph": "accuracy.smoother",  # of version 0.2
             "scan_odometry": "accuracy.scan_odometry",
             "wheels": "accuracy.wheels",
         },
@@ -163,10 +162,12 @@ def _read(folder: Path) -> ComparedResult:
         found = json.loads(text)
     except (ValueError, RecursionError):
         found = None
-    if _at(found, "versions", "slamcheck").startswith("0.1."):
-        raise InputError(f"{path}: of slamcheck 0.1, which compare of slamcheck 0.2 reads")
     if not isinstance(found, dict):
         raise InputError(f"{path}: not a result of slamcheck {job}")
+    earlier = _at(found, "versions", "slamcheck").startswith("0.1.") or "scan_graph" in found
+    if earlier or (job == "run" and found.get("schema", 1) in range(1, SCHEMA)):
+        what = "a result with earlier names of figures"
+        raise outdated_format(path, what, f"write it anew with slamcheck {job}")
     words = _words(found, job)
     if job == "run":
         try:

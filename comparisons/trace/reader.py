@@ -25,30 +25,15 @@ from comparisons.trace.rows import EventReader, batch_rows, distinct, is_block
 
 APPLICATION = 0x534C4154
 VERSION = 2
-OUTDATED = (
-    "is of slamcheck 0.2, and the next release will not read it: record the filter with "
-    "slamcheck.Recorder"
-)
-_SENSOR = "CREATE TABLE sensor (name TEXT PRIMARY KEY, gate REAL, components TEXT)"
 TABLES = {
     "batch": (
         "CREATE TABLE batch (first INTEGER PRIMARY KEY, events INTEGER NOT NULL, "
         "updates INTEGER NOT NULL, snapshots INTEGER NOT NULL, state TEXT NOT NULL, "
         "data BLOB NOT NULL)"
     ),
-    "sensor": _SENSOR,
+    "sensor": "CREATE TABLE sensor (name TEXT PRIMARY KEY, gate REAL, components TEXT)",
 }
-_FIRST = (
-    "CREATE TABLE event (number INTEGER PRIMARY KEY, kind TEXT NOT NULL, time_s REAL, "
-    "sensor TEXT, blocks TEXT NOT NULL, used INTEGER, jacobian BLOB, noise BLOB, "
-    "noise_jacobian BLOB, residual BLOB, correction BLOB, gain BLOB, covariance BLOB, "
-    "mean BLOB, error BLOB, note TEXT)"
-)
-_TABLES = {1: {"event": _FIRST, "sensor": _SENSOR}, VERSION: TABLES}
-_COUNTS = {
-    1: "SELECT COUNT(*), SUM(kind = 'update'), SUM(kind = 'snapshot') FROM event",
-    VERSION: "SELECT SUM(events), SUM(updates), SUM(snapshots) FROM batch",
-}
+_COUNTS = "SELECT SUM(events), SUM(updates), SUM(snapshots) FROM batch"
 _CUT_OFF = "ends within a batch, as where its recording was killed; that batch is left out"
 RAW = b"slamcheck events"
 """Begins a file of batches without SQLite."""
@@ -103,33 +88,31 @@ class TraceReader:
         self.remarks: tuple[str, ...] = ()
         self.unsound: dict[int, str] = {}
         self.singular: dict[int, str] = {}
-        if _is_raw(path):
-            self._version = 0
+        self._raw = _is_raw(path)
+        if self._raw:
             raw = _RawFile(path)
             self.counts, described = raw.summary()
             if raw.cut_off:
                 self.remarks = (f"{path.name} {_CUT_OFF}",)
         else:
             with self._open() as file:
-                self._version = self._check(file)
-                counts = file.execute(_COUNTS[self._version]).fetchone()
+                self._check(file)
+                counts = file.execute(_COUNTS).fetchone()
                 self.counts = TraceCounts(*(int(n or 0) for n in counts))
                 described = list(file.execute("SELECT * FROM sensor"))
         for name, gate, components in described:
             self.sensors[name] = self._sensor(name, gate, components)
-        if self._version == 1:
-            self.remarks = (f"{path.name} {OUTDATED}",)
 
     def __iter__(self) -> Iterator[Event]:
         """Yield every event."""
         reader = EventReader(self.path)
         self.unsound, self.singular = reader.unsound, reader.singular
-        yield from self._first_format(reader) if self._version == 1 else self._batches(reader)
+        yield from self._batches(reader)
         if reader.at < 0:
             raise InputError(f"{self.path}: holds no events, expected a filter's trace")
 
     def _batches(self, reader: EventReader) -> Iterator[Event]:
-        stored = _RawFile(self.path).batches() if self._version == 0 else self._stored()
+        stored = _RawFile(self.path).batches() if self._raw else self._stored()
         for one in stored:
             try:
                 batch = unpack(one.data)
@@ -165,22 +148,6 @@ class TraceReader:
                 if not isinstance(data, bytes):
                     raise InputError(f"{self.path}, event {quoted(after)}: the batch is no blob")
                 yield Stored(after, events, state, data)
-
-    def _first_format(self, reader: EventReader) -> Iterator[Event]:
-        from comparisons.trace.first_format import FirstFormat
-
-        rows = FirstFormat()
-        with self._open() as file:
-            self._check(file)
-            while True:
-                at = reader.at
-                try:
-                    events = reader.events(rows.chunk(file, at))
-                except sqlite3.Error as error:
-                    raise _unreadable(f"{self.path}, after event {reader.at}", error) from None
-                if not events:
-                    return
-                yield from events
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
@@ -231,15 +198,19 @@ class TraceReader:
             raise InputError(f"{_journal(path)}: names another file, as a recorder's never does")
         return path
 
-    def _check(self, file: sqlite3.Connection) -> int:
-        """Return the format. Raise InputError where the tables are not those of a recorder."""
+    def _check(self, file: sqlite3.Connection) -> None:
+        """Raise InputError where version or tables are not those of a recorder."""
         (application,), (version,) = (
             file.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
         )
         if application != APPLICATION:
             raise InputError(f"{self.path}: is no filter's trace, but another SQLite file")
-        tables = _TABLES.get(version)
-        if tables is None:
+        if version == 1:
+            raise InputError(
+                f"{self.path}: is a trace of version 1, of a development version after slamcheck "
+                "0.2, which no release reads; record the filter anew with slamcheck.Recorder"
+            )
+        if version != VERSION:
             raise InputError(
                 f"{self.path}: is a trace of version {version}, expected {VERSION}; "
                 "use the version of slamcheck that it was recorded for"
@@ -251,10 +222,9 @@ class TraceReader:
         if size < expected:
             raise InputError(f"{self.path}: is cut off: {size} bytes, expected {expected}")
         found = list(file.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
-        for name, sql in [*tables.items(), *found]:
-            if (name, sql) not in found or tables.get(name) != sql:
+        for name, sql in [*TABLES.items(), *found]:
+            if (name, sql) not in found or TABLES.get(name) != sql:
                 raise InputError(f"{self.path}: table {quoted(name)} is not as a recorder's")
-        return int(version)
 
     def _sensor(self, name: Any, gate: Any, components: Any) -> SensorDescription:
         names = distinct(_json("[]" if components is None else components))
@@ -335,11 +305,13 @@ def last_state(path: Path) -> tuple[int, list[list[Any]]]:
     """Return the number of a trace's next event, and name, dimension and chart of each block.
 
     Raises:
-        InputError: The file is no trace in SQLite, or of an earlier format.
+        InputError: The file is no trace in SQLite.
     """
     trace = TraceReader(path)
-    if trace._version != VERSION:
-        raise InputError(f"{path}: is not of format {VERSION} in SQLite; record a new file")
+    if trace._raw:
+        raise InputError(
+            f"{path}: is a plain file, which no recording continues; record a new file"
+        )
     with trace._open() as file:
         asked = "SELECT first + events, state FROM batch ORDER BY first DESC LIMIT 1"
         number, said = file.execute(asked).fetchone() or (0, "[]")

@@ -140,12 +140,6 @@ def test_a_document_s_preset_has_nothing_of_another() -> None:
     assert asked.ekf.position_gate == 9.21
 
 
-def test_the_earlier_preset_of_all_documents_is_read(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_config(preset="as-published") == run_config(preset="nieto-2005")
-    assert "preset='as-published' is now preset='nieto-2005'" in capsys.readouterr().err
-    assert RunConfig.of(preset="as-published", log={"sigmas": "calibrated"}).log.sigmas == "log"
-
-
 @pytest.mark.parametrize("name", ["full", "compressed", "misono", "misono-full"])
 def test_the_gate_of_positions_reaches_the_filter(name: str) -> None:
     log = open_log("waypoint-run")

@@ -1,10 +1,8 @@
-"""What the program says of itself: help, the list of settings, and earlier spellings."""
+"""What the program says of itself: help and the list of settings."""
 
 import re
-import shlex
 import tomllib
 from collections.abc import Iterator
-from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,16 +10,13 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from comparisons.cli.app import COMMANDS, build, main
+from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName, _kind
 from comparisons.cli.flags import Arguments, DenseHelpCommand, from_flags
-from comparisons.config import JOBS, RunConfig, config_class
-from comparisons.errors import InputError
+from comparisons.config import JOBS, config_class
 from comparisons.extension_names import EXTENSIONS
-from comparisons.options import RENAMED, renamed_words
 from comparisons.options.table import FLAGS, of_job
-from comparisons.report.destination import check_free
-from comparisons.settings import configure, run_config
+from tests.commands import refused
 
 RUN = of_job("run")
 MOST_LINES = 46
@@ -179,94 +174,16 @@ def test_help_names_every_choice_and_the_default() -> None:
                 assert str(value).removesuffix(".0") == found[1], flag.option
 
 
-@pytest.mark.parametrize("earlier", ["--preset as-published", "--preset=as-published"])
-def test_earlier_options_are_read(earlier: str) -> None:
-    words, notes = renamed_words(["simulated-loop", *shlex.split(earlier), "--seed", "1"])
-    assert words == ["simulated-loop", "--preset", "nieto-2005", "--seed", "1"]
-    assert notes == ["--preset as-published is now --preset nieto-2005"]
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--association", "jcbb"],
-        ["--preset"],
-        ["--out", "as-published", ""],
-        ["--", "--preset", "as-published"],
-        ["--preset", "nieto-2005"],
-    ],
-)
-def test_other_words_stay(words: list[str]) -> None:
-    assert renamed_words(words) == (words, [])
-
-
-def test_the_command_line_reads_them_with_a_line_on_standard_error(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["slamcheck", "run", "no-such-log", "--preset", "as-published"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    first, second = capsys.readouterr().err.splitlines()
-    assert first == "slamcheck: --preset as-published is now --preset nieto-2005"
-    assert "no-such-log: no such file" in second
-
-
-OLD_FILE = 'job = "run"\npreset = "as-published"\n[log]\nsigmas = "calibrated"\n'
-
-
-def test_an_earlier_runs_file_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text(OLD_FILE)
-    found = configure(RunConfig, path)
-    assert found == configure(RunConfig, settings=["preset=nieto-2005", "log.sigmas=log"])
-    assert capsys.readouterr().err.splitlines() == [
-        f'slamcheck: {path}: preset = "as-published" is now preset = "nieto-2005"',
-        f'slamcheck: {path}: log.sigmas = "calibrated" is now log.sigmas = "log"',
-    ]
-    path.write_text(found.toml())
-    assert configure(RunConfig, path) == found
-    assert capsys.readouterr().err == ""
-
-
-def test_a_setting_that_is_gone_is_passed_over_where_it_was_not_used(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text('[extensions.dense_maps]\nlayers = ["sog"]\nattribute_values = false\n')
-    assert configure(RunConfig, path) == run_config(dense=["sog"])
-    path.write_text(path.read_text().replace("false", "true"))
-    with pytest.raises(InputError, match=r"dense_maps\.attribute_values: is unknown"):
-        configure(RunConfig, path)
-
-
-def test_an_earlier_runs_folder_is_known(tmp_path: Path) -> None:
-    """As one of the same settings, which may be written again, or as of others."""
-    (tmp_path / "config.toml").write_text(OLD_FILE)
-    (tmp_path / "result.json").write_text("{}")
-    lines = (
-        f"{sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}\n"
-        for name in ("config.toml", "result.json")
-    )
-    (tmp_path / "files.sha256").write_text("".join(lines))
-    same = configure(RunConfig, settings=["preset=nieto-2005", "log.sigmas=log"])
-    check_free(tmp_path, same)
-    with pytest.raises(InputError, match=r"with other settings .preset nieto-2005 there"):
-        check_free(tmp_path, run_config())
-
-
-def test_what_is_in_no_table_is_unknown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The file is read by the table and nothing else."""
-    path = tmp_path / "config.toml"
-    path.write_text(OLD_FILE)
-    monkeypatch.setattr("comparisons.options.RENAMED", RENAMED[1:])
-    with pytest.raises(InputError, match=r"preset is 'as-published'"):
-        configure(RunConfig, path)
-
-
-def test_the_table_leads_to_what_there_is() -> None:
-    options = {flag.option: flag for flag in RUN}
-    for one in RENAMED:
-        if not one.option:  # of a setting that has none
-            assert one.field not in {flag.field for flag in RUN}
-            continue
-        assert options[one.option].field == one.field
-        assert set(one.values.values()) <= set(options[one.option].words)
+def test_an_earlier_spelling_is_any_unknown_word(tmp_path: Path) -> None:
+    """An option's choices are named; so are a setting's, in a file."""
+    said = refused("run", "simulated-loop", "--preset", "as-published", cwd=tmp_path)
+    assert "'as-published' is not one of 'recommended', 'guivant-2002', 'misono-2007'" in said
+    for text, expected in (
+        ('preset = "as-published"', "preset is 'as-published': input should be 'recommended', "),
+        ('[log]\nsigmas = "calibrated"', "log.sigmas is 'calibrated': input should be 'log' or "),
+        ("[extensions.dense_maps]\nattribute_values = false", "attribute_values: is unknown, "),
+    ):
+        (tmp_path / "run.toml").write_text(f"{text}\n")
+        said = refused("run", "simulated-loop", "--config", "run.toml", cwd=tmp_path)
+        assert said.startswith("slamcheck: run.toml: ")
+        assert expected in said

@@ -205,7 +205,20 @@ def test_the_command(tmp_path: Path, result: Result) -> None:
         assert words in refused("compare", *arguments, cwd=tmp_path)
 
 
-def test_a_result_of_0_1_is_refused_with_what_reads_it(tmp_path: Path) -> None:
-    old = folder(tmp_path / "old", "solution", {"versions": {"slamcheck": "0.1.0"}})
-    with pytest.raises(InputError, match=r"of slamcheck 0\.1, which compare of slamcheck 0\.2"):
-        read_results([old])
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("solution", {"versions": {"slamcheck": "0.1.0"}}),
+        ("odometry", {"versions": {"slamcheck": "0.2.0"}, "scan_graph": {}}),
+        ("result", {"versions": {"slamcheck": "0.2.0"}, "schema": 3}),
+    ],
+)
+def test_an_earlier_result_is_refused_with_what_reads_it(
+    tmp_path: Path, name: str, content: dict[str, object]
+) -> None:
+    path = folder(tmp_path / "old", name, content) / f"{name}.json"
+    job = {"solution": "solve", "result": "run"}.get(name, name)
+    assert refused("compare", "old", "old", cwd=tmp_path) == (
+        f"slamcheck: old/{path.name}: is a result with earlier names of figures, which slamcheck "
+        f"0.2 reads and this release does not; write it anew with slamcheck {job}"
+    )

@@ -18,8 +18,8 @@ BANNED = re.compile(
     r"|hand in|look at|surer|as meant|as if|judged by|beginnings?)\b",
     re.IGNORECASE,
 )
-NAMES = re.compile(r"sightings\.csv")
-"""What version 0.1 called a file, which is still read."""
+NAMES = re.compile(r"sightings\.csv|\[sightings\]")
+"""What the release 0.1 called a file; also the section of it."""
 
 
 def literals(source: str) -> Iterator[str]:

@@ -19,11 +19,12 @@ from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.audit import audit
+from comparisons.audit.run_trace import write_run
 from comparisons.baseline import build_baseline, read_baseline, write_baseline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import FORMER
+from comparisons.estimates.trace_file import TRACE
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
 from comparisons.experiments.montecarlo.runs import RunRecords
@@ -40,7 +41,6 @@ from comparisons.settings import configure, run_config, run_options
 from comparisons.trace.reader import RAW, VERSION
 from graphslam.g2o import G2oContents, write_g2o
 from tests.comparisons.audit.toy_filter import Toy
-from tests.comparisons.former_trace import write_trace
 from tests.comparisons.logs.rawlogs import rawlog
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
 from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria
@@ -166,7 +166,7 @@ def estimate_files(folder: Path) -> None:
     log, _ = small_solution()
     run = run_ekf(log, build_timeline(log), settle(EkfConfig(), log))
     write_estimate(run.estimate, folder)
-    write_trace(run, folder / FORMER)
+    write_run(run, folder / TRACE)
 
 
 def trajectory_file(format_name: str) -> Subject:

@@ -64,7 +64,7 @@ REPLACED = {
         (
             '"version": 4',
             '"version": 1, "settings": {"robot": "abc"}',
-            "version 1 of slamcheck 0.1",
+            "is a baseline of version 1, which slamcheck 0.2 reads",
         ),
         ('"extensions": {}', '"extensions": {"dense_maps": 5}', "extensions.dense_maps"),
         ('"tolerance": 0.0', '"tolerance": Infinity', "not a baseline"),
@@ -102,7 +102,7 @@ def test_hostile_values(name: str, file: str, old: str, new: str, message: str) 
         ("log folder", "measurements.csv"),
         ("aa3", "aa3_lsr2.mat"),
         ("g2o", "graph.g2o"),
-        ("estimate folder", "trace.npz"),
+        ("estimate folder", "filter.trace"),
         ("baseline", "kept.json"),
     ],
 )

@@ -12,6 +12,7 @@ from comparisons.logs.log import Landmarks, Log, Positions, Surfaces
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.scans import Clouds, Mount, Scans
+from tests.commands import refused
 from tests.comparisons.logs.test_readers import assert_refused
 from tests.helpers import simulated
 
@@ -84,18 +85,20 @@ def test_round_trip_is_exact(kind: str, tmp_path: Path) -> None:
     assert log_hash(log) == log_hash(again)
 
 
-def test_former_names_of_measurements_are_read(tmp_path: Path) -> None:
-    """Version 0.1 wrote sightings.csv and [sightings]; both names together are refused."""
+@pytest.mark.parametrize("kind", ["", "known_"])
+def test_measurements_by_an_earlier_name_are_refused(tmp_path: Path, kind: str) -> None:
+    """What stands beside today's file is not looked at."""
     log, folder = full_log(), tmp_path / "log"
     write_log_folder(log, folder)
-    for kind in ("", "known_"):
-        (folder / f"{kind}measurements.csv").rename(folder / f"{kind}sightings.csv")
-    meta = folder / "log.toml"
-    meta.write_text(meta.read_text("utf-8").replace("[measurements]", "[sightings]"), "utf-8")
+    earlier, today = folder / f"{kind}sightings.csv", folder / f"{kind}measurements.csv"
+    earlier.write_text("")
     assert_same(log, read_log_folder(folder))
-    (folder / "measurements.csv").write_text("")
-    with pytest.raises(InputError, match=r"measurements\.csv and sightings\.csv"):
-        read_log_folder(folder)
+    today.rename(earlier)
+    assert refused("logs", "log", cwd=tmp_path) == (
+        f"slamcheck: log/{earlier.name}: is the name of slamcheck 0.1 for a log's measurements, "
+        f"which slamcheck 0.2 reads and this release does not; call it {today.name}, and "
+        "[sightings] in log.toml [measurements] (see docs/formats.md)"
+    )
 
 
 def test_intensities_are_one_more_column(tmp_path: Path) -> None:
