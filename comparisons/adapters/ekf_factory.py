@@ -179,12 +179,15 @@ def _fused(log: Log, choices: EkfConfig) -> NDArray[np.intp]:
     inside = np.flatnonzero((time >= log.prior.time_s) & (time <= log.end_s))
     if choices.gps != "half" or not len(inside):
         return inside
-    fused: NDArray[np.intp] = inside[hold_out_blocks(time[inside]) % 2 == 0]
+    fused: NDArray[np.intp] = inside[hold_out_blocks(time)[inside] % 2 == 0]
     return fused
 
 
 def hold_out_blocks(time_s: Array) -> NDArray[np.intp]:
-    """Return the block (N,) of each position, equally long ones. time_s: (N,) ascending."""
+    """Return the block (N,) of each position, equally long ones. time_s: (N,) ascending.
+
+    Of all positions of a log, so that they are the same whatever part of it is used.
+    """
     duration_s = float(time_s[-1] - time_s[0])
     count = max(LEAST_BLOCKS, int(duration_s / LEAST_BLOCK_S))
     share = (time_s - time_s[0]) / (duration_s or 1.0)

@@ -228,12 +228,12 @@ def test_car_park_with_gps(shared_data: Path) -> None:
 
 @pytest.mark.slow
 def test_victoria_park_with_gps(shared_data: Path) -> None:
-    """Every second fix fused, the others held back to judge by; outliers are gated."""
+    """Every second minute is fused, the others are held out to judge by; outliers are gated."""
     log = open_log(str(shared_data / "victoria_park"))
     c = compared(log, filter="compressed", gps="half")
     assert_followed(c, 1e-6)
     assert c.ekf.rejected_fixes > 0
-    assert present(present(c.accuracy.ekf).gps_median_m) < 0.8
+    assert present(present(c.accuracy.ekf).gps_median_m) < 1.1
 
 
 def at_truth(log: Log) -> Estimate:

@@ -45,13 +45,10 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
         moves = np.vstack((lead.displacement, moves))
         spreads = np.concatenate((lead.covariance, spreads))
     seen = measurements_kept(log, motion)
-    fixes = log.positions
-    if fixes is not None:
-        reached = (fixes.time_s >= begin) & (fixes.time_s <= knots[-1])
-        fixes = fixes.chosen(reached) if reached.any() else None
     wanted = [knots, log.measurements.time_s[seen]]
-    if positions and fixes is not None:
-        wanted.append(fixes.time_s)
+    if positions and log.positions is not None:
+        fix_s = log.positions.time_s
+        wanted.append(fix_s[(fix_s >= begin) & (fix_s <= knots[-1])])
     times = np.unique(np.concatenate(wanted))
     pieces = divide(MotionSamples(moves, spreads), knots, times)
     spread = pieces.covariance + _LEAST * np.eye(3)
@@ -66,7 +63,6 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
         prior=prior,
         odometry=RelativePoses(times[1:], pieces.displacement, spread),
         measurements=log.measurements.chosen(seen),
-        positions=fixes,
         provenance=provenance,
     )
 
