@@ -422,8 +422,8 @@ def test_a_function_that_does_not_name_its_equation_is_rejected() -> None:
     other = row.replace("Scan.point`", "Scan.box`")
     (found,) = unmentioned(TEXT.replace(row, other))
     assert found == "N 4.15: ekf_reference/dense/scan.py:Scan.box"
-    anywhere = unmentioned(TEXT.replace(row, row.replace("Scan.point`", "Sensor`")))
-    assert "N 4.15: ekf_reference/dense/scan.py:Sensor" in anywhere
+    anywhere = unmentioned(TEXT.replace(row, row.replace("Scan.point`", "ScanSensor`")))
+    assert "N 4.15: ekf_reference/dense/scan.py:ScanSensor" in anywhere
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ _OBSERVATION = (
         defaults=(
             f"{_EXTRACTION}:JoinedSegments.share",
             f"{_EXTRACTION}:SingleSegments.share",
-            "ekf_reference.scan_landmarks.templates:View.share",
+            "ekf_reference.scan_landmarks.templates:SensorView.share",
         ),
         absent="0.5 (whole-scan), 0.9 (per-segment)",
         reason="the view changes sooner than one object's: whole scan, 0.9 gives 57 landmarks and "

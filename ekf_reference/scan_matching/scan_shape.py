@@ -29,8 +29,8 @@ def of_scan(bearing_rad: Array, range_m: Array, sensor: ScanSensor) -> SumOfGaus
     """The returns of a scan in the scanner's frame; beams (B,), those without return left out.
 
     Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. Each Gaussian is longer by the surface
-    between the return and its neighbours on the same surface, if any (see Sensor.joins), and there
-    is a boundary where the scan loses a surface that goes on. Otherwise two scans of one wall would
+    between the return and its neighbours on the same surface, if any (ScanSensor.joins). There is a
+    boundary where the scan loses a surface that goes on. Otherwise two scans of one wall would
     match by where beams hit and views end. In a full circle the surface behind is cut in two.
     """
     scan = Scan.of_ranges(np.zeros(3), bearing_rad, range_m, sensor)

@@ -140,7 +140,7 @@ class FilterTally:
 
     step_mean: (T,) over the runs not lost. step_runs: how many of them have such a figure at the
     last step. run_mean: (N,) over the steps, NaN for lost runs. last: (N,) at the last step. All
-    by field of Records. final_map: figures of landmarks are those of the last step alone.
+    by field of RunRecords. final_map: figures of landmarks are those of the last step alone.
     """
 
     step_mean: RunRecords
