@@ -57,10 +57,10 @@ def write_event(event: Event, record: Recorder) -> None:
             points = {"point": event.point, "after": event.after}
             record.predict(event.jacobian, event.noise, event.blocks, **points)
         case Augment():
-            begun: AugmentationNotes = {"numbers": _needed(event.numbers), "weight": event.weight}
-            begun |= {"point": _needed(event.point), "after": _needed(event.after)}
+            notes: AugmentationNotes = {"numbers": _needed(event.numbers), "weight": event.weight}
+            notes |= {"point": _needed(event.point), "after": _needed(event.after)}
             g_x, g_z = event.jacobian, event.noise_jacobian
-            record.augment(event.name, g_x, g_z, event.noise, event.blocks, **begun)
+            record.augment(event.name, g_x, g_z, event.noise, event.blocks, **notes)
         case Update():
             more: MeasurementNotes = {"point": _needed(event.point), "weight": event.weight}
             more["numbers"] = _needed(event.numbers)

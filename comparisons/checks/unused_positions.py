@@ -10,7 +10,7 @@ residuals is judged, not their mean.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -27,6 +27,7 @@ from comparisons.statistics import chi2_quantile, independent
 from comparisons.words import Cause, Explanation, Row
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.models.position import PositionModel
+from graphslam.linear_problem import whiten
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
@@ -140,7 +141,7 @@ def unused_positions(positions: Positions, smoothed: Estimate) -> UnusedPosition
         (poses, covariances),
         (positions.position_m, positions.covariance),
     )
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), residual[:, :, None])[:, :, 0]
+    (whitened,) = whiten(covariance, residual)
     count = independent(np.clip(whitened, -_FAR, _FAR))
     good = 0.5 / (1.0 - _BAD)
     share = betaincinv(good * (count + 1.0), (1.0 - good) * (count + 1.0), 1.0 - _OUTSIDE)
@@ -156,7 +157,7 @@ def unused_positions(positions: Positions, smoothed: Estimate) -> UnusedPosition
     seen = PositionObservations(
         positions.time_s, positions.position_m, covariance, positions.antenna_m
     )
-    return UnusedPositions(**{**vars(judged), "fit": position_fit(seen, path)})
+    return replace(judged, fit=position_fit(seen, path))
 
 
 def _inside(positions: Positions, smoothed: Estimate) -> Positions:

@@ -16,6 +16,7 @@ from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements
+from comparisons.plane import squared_distance
 from comparisons.statistics import chi2_quantile
 from graphslam.optimum import Optimality
 
@@ -81,8 +82,7 @@ def plausible(optimum: Optimality, estimate: Estimate) -> bool:
     p = estimate.joint_covariance[points, points].reshape(count, 2, count, 2).swapaxes(1, 2)
     own, across = p[np.arange(count), np.arange(count)], p[first, second]
     spread = own[first] + own[second] - across - across.transpose(0, 2, 1)
-    off = place[first] - place[second]
-    squared = np.einsum("ki,ki->k", off, np.linalg.solve(spread, off[:, :, None])[:, :, 0])
+    squared = squared_distance(place[first] - place[second], spread)
     return bool((squared > chi2_quantile(_PLAUSIBLE, 2)).all())
 
 

@@ -289,7 +289,7 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
         replace(verdict, remarks=(*found.remarks, *beside)),
         known.value(TruthGapFinding),
         unchecked="",
-        consistency=known.value(ConsistencyFinding),
+        consistency=consistency,
         unused=known.value(UnusedPositionsFinding),
         fail_on=(),
     )

@@ -198,11 +198,10 @@ def read_text(path: Path) -> str:
 
     Raises InputError when it is missing, unreadable or not text.
     """
+    packed = path.suffix.lower() in PACKED
     with reading(path), unpacked(path) as file:
-        if path.suffix.lower() not in PACKED:
-            return file.read().decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-        content = file.read(_MOST_BYTES + 1)
-        if len(content) > _MOST_BYTES:
+        content = file.read(_MOST_BYTES + 1 if packed else -1)
+        if packed and len(content) > _MOST_BYTES:
             raise InputError(f"{path}: holds more than {_MOST_BYTES >> 20} MiB, expected fewer")
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 

@@ -493,8 +493,8 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
         required = f" (required: {result.required})"
         left = result.departure
-        departure = [] if left is None else [str(left)]
         elsewhere = [] if left is None else [str(left), left.briefly]
+        departure = elsewhere[:1]
         explained = [cause_name(gap) for gap in self.found.consequences]
         symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
         return Summary(

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.logs.log import Log
+from comparisons.plane import squared_distance
 from ekf_reference.dense.layers.layer import LayerSamples
 
 SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0
@@ -36,8 +38,7 @@ def median(values: NDArray[Any] | Sequence[float]) -> float:
 
 def within_3_sigma(error: Array, covariance: Array) -> NDArray[np.bool_]:
     """(N,) which errors (N, 2) their covariances (N, 2, 2) explain."""
-    solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
-    inside: NDArray[np.bool_] = np.einsum("qi,qi->q", error, solved) <= THREE_SIGMA_SQUARED
+    inside: NDArray[np.bool_] = squared_distance(error, covariance) <= THREE_SIGMA_SQUARED
     return inside
 
 
@@ -62,3 +63,12 @@ def occupied(samples: LayerSamples) -> Array:
     """(N, 2) what a layer holds with a probability above 0.8."""
     point: Array = samples.point[samples.occupancy > OCCUPIED]
     return point
+
+
+def near_share(point: Array, other: Array, reach_m: float) -> float:
+    """Share of points (N, 2) with one of others (M, 2) within reach; NaN of none."""
+    if not len(point):
+        return float("nan")
+    if not len(other):
+        return 0.0
+    return float(np.mean(cKDTree(other).query(point)[0] <= reach_m))

@@ -25,7 +25,6 @@ from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import (
     SurfaceError,
     error_of_points,
-    near_share,
     surface_error,
 )
 from comparisons.extensions.dense_maps.config import Layer
@@ -45,7 +44,7 @@ from research.documents.claims import Claims, Why, at_least, at_most, ours
 from research.documents.drawing import plan
 from research.documents.drives import true_surroundings, truth_in_order
 from research.documents.interface import DocumentFigure, Experiment, Sources
-from research.documents.measures import median, occupied
+from research.documents.measures import median, near_share, occupied
 
 SURFACES: tuple[Layer, ...] = ("points", "occupancy", "particles", "sog")
 """Layers of where surfaces are."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from comparisons.arrays import Array
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.accuracy import near_share, surface_error
+from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.extensions.dense_maps.config import DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.figure import (
     DENSE_COLOUR,
@@ -37,7 +37,7 @@ from research.documents.drawing import (
 )
 from research.documents.drives import Drives, true_surroundings
 from research.documents.interface import DocumentFigure, Experiment, Sources
-from research.documents.measures import occupied
+from research.documents.measures import near_share, occupied
 
 LAYERS: tuple[Layer, ...] = ("occupancy", "sog")
 _MOST_DRIVES = 2

@@ -1,6 +1,7 @@
 """Dynamic regions of whole drives (Nieto 2005, section 6.3.3), and a filter that keeps off them."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
@@ -20,14 +22,14 @@ from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.dynamic_worlds import LANES_M, changed_places
+from comparisons.logs.simulate.dynamic_worlds import LANES_M, Displaced
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
     dynamic_places,
     simulate,
 )
-from comparisons.logs.simulate.scan_worlds import Mover
+from comparisons.logs.simulate.scan_worlds import Mover, Moving
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer
 from research.documents.nieto_motion import middles, score_dynamic
 from tests.commands import works
@@ -74,6 +76,18 @@ def test_both_lanes_are_found() -> None:
     assert score.precision > 0.9
     assert score.recall > 0.9
     assert sorted(score.middle[:, 1]) == pytest.approx(sorted(LANES_M), abs=0.3)
+
+
+def changed_places(movers: Iterable[Moving]) -> Array:
+    """(P, 2) [m] where displaced ones stood and stand."""
+    places = [
+        place
+        for mover in movers
+        if isinstance(mover, Displaced)
+        for place in (mover.before, mover.after)
+        if place is not None
+    ]
+    return np.array(places, dtype=float).reshape(-1, 2)
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.words import Cause
 from ekf_reference.core.ekf import Ekf
+from research.trust.check import of_run
 from research.trust.exports import EXPORTS, FEEDS
 from tests.commands import slamcheck
 from tests.helpers import present
@@ -51,22 +52,8 @@ def solution() -> Solution:
 
 def filtered(log: Log, solution: Solution, kind: type[Ekf] = Ekf) -> ExternalEstimate:
     """What a filter that was fed a log knew at the solution's instants."""
-    run = present(run_reference(log, build_timeline(log), settle(EkfConfig(), log), kind=kind))
-    time_s = solution.estimate.time_s
-    pose, covariance = run.at(time_s)
-    joint = run.map.joint_covariance
-    return ExternalEstimate(
-        time_s=time_s,
-        pose=pose,
-        landmark_id=run.map.landmark_id,
-        landmark=run.map.landmark,
-        pose_covariance=covariance,
-        landmark_covariance=np.array(
-            [joint[i : i + 2, i : i + 2] for i in range(3, len(joint), 2)]
-        ),
-        joint_covariance=joint,
-        information="filtered",
-    )
+    run = run_reference(log, build_timeline(log), settle(EkfConfig(), log), kind=kind)
+    return of_run(run, solution.estimate.time_s)
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,9 @@ audit comes to an end.
 from __future__ import annotations
 
 import sys
-import traceback
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from comparisons.checks.of_events import audit_trace
 from comparisons.report.audit import AuditReport
 from comparisons.statistics import ROUNDING
 from comparisons.trace.recorder import Recorder
+from tests.fuzz.drawn import Ending, try_all
 
 _OF_CHANCE = ("innovations", "smoother", "nees")
 """Checks that call one in a thousand sound filters faulty."""
@@ -355,29 +354,12 @@ def tried(seed: int, folder: Path) -> Outcome:
     return Outcome(seed, drawing.planted, audit, "\n".join(said))
 
 
-def main(seeds: range) -> int:
-    """Try all, and say what came of them."""
-    ends: Counter[str] = Counter()
-    bad = 0
-    with TemporaryDirectory() as place:
-        for seed in seeds:
-            try:
-                outcome = tried(seed, Path(place))
-            except Exception:
-                lines = traceback.format_exc().splitlines()
-                ends["raised: " + " ".join(one.strip() for one in lines[-3:])[:200]] += 1
-                print(f"{seed}: raised {lines[-1]}")
-                bad += 1
-                continue
-            ends[("planted" if outcome.planted else "sound") + f": {outcome.audit.verdict}"] += 1
-            if outcome.is_accused:
-                bad += 1
-                print(f"{seed}: accused\n{outcome.printed}\n")
-    for what, count in ends.most_common():
-        print(f"{count:6,}  {what}")
-    return int(bad > 0)
+def ending(seed: int, folder: Path) -> Ending:
+    """What is counted of a sequence, and said of a sound one that is accused."""
+    outcome = tried(seed, folder)
+    kind = f"{'planted' if outcome.planted else 'sound'}: {outcome.audit.verdict}"
+    return Ending(kind, f"accused\n{outcome.printed}\n" if outcome.is_accused else "")
 
 
 if __name__ == "__main__":
-    first, *last = [int(one) for one in sys.argv[1:]] or [5000]
-    sys.exit(main(range(first, *last) if last else range(first)))
+    sys.exit(try_all(ending, 5000))

@@ -8,11 +8,8 @@ estimate stays equal to the references. Else events are lost, doubled, exchanged
 from __future__ import annotations
 
 import sys
-import traceback
-from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
@@ -32,6 +29,7 @@ from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckReport
 from comparisons.trace.events import Clone, Event, Remove, Reset, Snapshot, TracePrior, Update
 from comparisons.trace.recorder import Recorder
+from tests.fuzz.drawn import Ending, try_all
 from tests.helpers import compared, first_seconds, simulated
 
 Change = Callable[[list[Event], np.random.Generator], list[Event]]
@@ -222,30 +220,14 @@ class Planar:
         return sound, done, f"{result.outcome}, {result.grade.value}"
 
 
-def main(seeds: range) -> int:
-    """Try all, and say what came of them."""
-    ends: Counter[str] = Counter()
-    bad, planar = 0, Planar()
-    with TemporaryDirectory() as place:
-        for seed in seeds:
-            try:
-                sound, done, said = planar.tried(seed, Path(place))
-            except Exception:
-                lines = traceback.format_exc().splitlines()
-                ends["raised: " + " ".join(line.strip() for line in lines[-3:])[:200]] += 1
-                print(f"{seed}: raised {lines[-1]}")
-                bad += 1
-                continue
-            kind = said.partition(":")[0] if said.startswith(("refused", "recorder")) else said
-            ends[f"{'sound' if sound else 'damaged'}: {kind}"] += 1
-            if sound and not said.startswith("agree"):
-                bad += 1
-                print(f"{seed}: {done}: {said}")
-    for what, count in ends.most_common():
-        print(f"{count:6,}  {what}")
-    return int(bad > 0)
-
-
 if __name__ == "__main__":
-    first, *last = [int(one) for one in sys.argv[1:]] or [500]
-    sys.exit(main(range(first, *last) if last else range(first)))
+    planar = Planar()
+
+    def case(seed: int, folder: Path) -> Ending:
+        """Try one."""
+        sound, done, said = planar.tried(seed, folder)
+        kind = said.partition(":")[0] if said.startswith(("refused", "recorder")) else said
+        wrong = f"{done}: {said}" if sound and not said.startswith("agree") else ""
+        return Ending(f"{'sound' if sound else 'damaged'}: {kind}", wrong)
+
+    sys.exit(try_all(case, 500))

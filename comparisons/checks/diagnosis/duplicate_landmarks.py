@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from comparisons.words import Cause
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
+from ekf_reference.core.trace import MeasurementRecords
 from ekf_reference.models.range_bearing import RangeBearing
 
 _NEAR_SIGMA = 5.0
@@ -99,26 +101,23 @@ def duplicates(
     """
     if given.landmark is None or given.landmark_id is None or given.landmark_covariance is None:
         return []
-    found = []
+    pairs: list[tuple[int, int, float]] = []
     for more in np.setdiff1d(np.arange(len(given.landmark)), near.ours).tolist():
         other, sigma = _nearest(given, given.landmark, more)
-        if other == more:
-            continue
-        first, second = _in_order(run, more, other)
-        beginning = None if run is None else _beginning(log, run, first, second)
-        if not (sigma <= _NEAR_SIGMA or beginning is not None):
-            continue
-        distance_m = float(np.linalg.norm(given.landmark[more] - given.landmark[other]))
-        found.append(
-            Duplicate(
-                first=int(given.landmark_id[first]),
-                second=int(given.landmark_id[second]),
-                sigma=sigma,
-                distance_m=distance_m,
-                beginning=beginning,
-            )
+        if other != more:
+            pairs.append((*_in_order(run, more, other), sigma))
+    beginnings = {} if run is None else _beginnings(log, run, pairs)
+    return [
+        Duplicate(
+            first=int(given.landmark_id[first]),
+            second=int(given.landmark_id[second]),
+            sigma=sigma,
+            distance_m=float(np.linalg.norm(given.landmark[first] - given.landmark[second])),
+            beginning=beginnings.get((first, second)),
         )
-    return found
+        for first, second, sigma in pairs
+        if sigma <= _NEAR_SIGMA or (first, second) in beginnings
+    ]
 
 
 def _nearest(given: ExternalEstimate, landmark: Array, row: int) -> tuple[int, float]:
@@ -159,12 +158,37 @@ def _in_order(run: EkfRun | None, one: int, other: int) -> tuple[int, int]:
     return (one, other) if order[one] < order[other] else (other, one)
 
 
-def _beginning(log: Log, run: EkfRun, first: int, second: int) -> Beginning | None:
-    """Return how a landmark began that the measurement of another would fit."""
+def _beginnings(
+    log: Log, run: EkfRun, pairs: Iterable[tuple[int, int, float]]
+) -> dict[tuple[int, int], Beginning]:
+    """Return how the second of two landmarks began, of those whose measurement fits the first."""
     new = run.trace.initialisations[POINT]
-    row = int(np.flatnonzero(new.landmark_index == second)[0])
-    number, step, seen = int(new.number[row]), int(new.step[row]), log.measurements
     state = TraceRecursion(run.trace, len(run.estimate.landmark))
+    beginnings = {}
+    for first, second in sorted(
+        {pair[:2] for pair in pairs}, key=lambda pair: int(new.step[_row(new, pair[1])])
+    ):
+        beginning = _beginning(log, run, state, (first, second))
+        if beginning is not None:
+            beginnings[first, second] = beginning
+    return beginnings
+
+
+def _row(new: MeasurementRecords, landmark: int) -> int:
+    """The record of a landmark's initialisation."""
+    return int(np.flatnonzero(new.landmark_index == landmark)[0])
+
+
+def _beginning(
+    log: Log, run: EkfRun, state: TraceRecursion, pair: tuple[int, int]
+) -> Beginning | None:
+    """Return how the second landmark of a pair began, if its measurement fits the first.
+
+    state: of the trace, no later than that; it goes on until then.
+    """
+    (first, second), new = pair, run.trace.initialisations[POINT]
+    row = _row(new, second)
+    number, step, seen = int(new.number[row]), int(new.step[row]), log.measurements
     state.run_to(step)
     columns = state.layout.columns(np.array([first]))
     mean, covariance = state.mean[columns], state.covariance[np.ix_(columns, columns)]

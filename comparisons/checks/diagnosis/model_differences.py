@@ -29,7 +29,6 @@ from graphslam.linear_problem import (
     LinearProblem,
     LinearRelations,
     divided,
-    whiten,
 )
 
 _PLACES = ("position", "heading")
@@ -268,9 +267,7 @@ def sensor_differences(kind: str, said: SensorRecords, meant: SensorRecords) -> 
     else:
         apart = apart / units
     found.append(("the innovation", "sigma", np.abs(apart).max(axis=1), nothing))
-    (within,) = whiten(meant.noise, said.noise)
-    (within,) = whiten(meant.noise, within.transpose(0, 2, 1))
-    spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
+    spread = _relative(_root(meant.noise), said.noise)
     found.append(("the noise covariance", "(relative)", spread, nothing))
     return found
 
@@ -299,12 +296,19 @@ def _compare(place: str, said: _Places, meant: _Places) -> _Differences:
         results.append((f"the Jacobian with respect to {name}", "(relative)", difference, absent))
     nothing = np.zeros(len(said.place), dtype=bool)
     root = _root(meant.covariance)
-    apart, within = divided(root, said.place - meant.place, said.covariance)
+    (apart,) = divided(root, said.place - meant.place)
     results.append((place, "sigma", np.abs(apart).max(axis=1), nothing))
-    (within,) = divided(root, within.transpose(0, 2, 1))
-    spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
+    spread = _relative(root, said.covariance)
     results.append(("the noise covariance", "(relative)", spread, nothing))
     return results
+
+
+def _relative(root: Array, covariance: Array) -> Array:
+    """(N,) largest relative difference of covariances (N, d, d) from A A^T, A (N, d, d)."""
+    (half,) = divided(root, covariance)
+    (within,) = divided(root, half.transpose(0, 2, 1))
+    largest: Array = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
+    return largest
 
 
 def _root(covariance: Array) -> Array:

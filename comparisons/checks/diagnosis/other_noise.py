@@ -11,7 +11,7 @@ from graphslam.optimum import ChiSquareTest
 from graphslam.smoother import SmootherEvidence
 from graphslam.variance_components import Component, components_of
 
-_TOLD = 1.5
+_MOST_RATIO = 1.5
 """Largest upper end over lower end of the interval of a noise that is named: what is known worse
 takes up any misfit."""
 NAMES = {"position": "positions", "pose landmark": "pose landmarks", "loop closure": "closures"}
@@ -43,7 +43,7 @@ def other_noises(result: SmootherEvidence, components: Sequence[Component]) -> l
     explaining = []
     for component in components:
         low, high = component.interval(WORDS)
-        if not _told(component) or low <= 1.0 <= high:
+        if not _is_certain(component) or low <= 1.0 <= high:
             continue
         try:
             goodness = rescaled(stated, component.name, component.factor)
@@ -61,13 +61,13 @@ def has_stated_noise(goodness: Goodness, names: Sequence[str]) -> bool:
     """
     components = components_of(goodness.problem, goodness.graph, goodness.values)
     asked = [one for one in components if one.name in names]
-    return all(_told(one) and _holds(one) for one in asked)
+    return all(_is_certain(one) and _holds(one) for one in asked)
 
 
-def _told(component: Component) -> bool:
+def _is_certain(component: Component) -> bool:
     """Whether its noise was found, and surely."""
     low, high = component.interval(WORDS)
-    return component.settled and high <= _TOLD * low
+    return component.settled and high <= _MOST_RATIO * low
 
 
 def _holds(component: Component) -> bool:

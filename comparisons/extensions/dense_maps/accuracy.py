@@ -80,12 +80,3 @@ def distance_to_segments(point: Array, segment: Array) -> Array:
     along = np.clip((apart * way[which]).sum(axis=1) / square, 0.0, 1.0)
     off = np.linalg.norm(apart - along[:, None] * way[which], axis=1)
     return np.minimum.reduceat(off, np.cumsum(counts) - counts)
-
-
-def near_share(point: Array, other: Array, reach_m: float) -> float:
-    """Share of points (N, 2) with one of others (M, 2) within reach; NaN of none."""
-    if not len(point):
-        return float("nan")
-    if not len(other):
-        return 0.0
-    return float(np.mean(cKDTree(other).query(point)[0] <= reach_m))

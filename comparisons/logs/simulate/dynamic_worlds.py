@@ -5,7 +5,6 @@ The thesis shows both in figures only: what they hold follows it, where each thi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,18 +54,6 @@ class Displaced:
         places = np.array((self.before or nowhere, self.after or nowhere))
         where: Array = places[(time_s >= self.change_s).astype(int)]
         return where
-
-
-def changed_places(movers: Iterable[Moving]) -> Array:
-    """(P, 2) [m] where displaced ones stood and stand."""
-    places = [
-        place
-        for mover in movers
-        if isinstance(mover, Displaced)
-        for place in (mover.before, mover.after)
-        if place is not None
-    ]
-    return np.array(places, dtype=float).reshape(-1, 2)
 
 
 def lanes_world(*, carried: bool = False) -> ScanWorld:
