@@ -123,7 +123,8 @@ class Drawing:
             more["weight"] = rng.uniform(0.1, 1.0)
             more["numbers"] = np.array([float(self.count)])
         self.count += 1
-        outside = not self._is_clear(h, r, at) or self._is_beyond_gate(sensor, residual, s)
+        of_all = s - (1.0 - more.get("weight", 1.0)) * r  # a part has R over its weight
+        outside = not self._is_clear(h, r, at) or self._is_beyond_gate(sensor, residual, of_all)
         if rng.random() < 0.1 or outside:
             self.record.reject(sensor, residual, h, r, blocks, **more)
             return
