@@ -87,6 +87,8 @@ _ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-5
 """Of the variance before an update: what is left by one that tells nearly all; of what cancels in
 it, what is left by one that tells all, and the unit in which that is measured, for it is rounding.
 """
+_LEFT = 4 * float(np.finfo(float).eps)
+"""Of the largest variance that an entry has had, what is left where an update tells all."""
 _NOTHING = 1e-30
 """A variance, in whatever unit, that is rounding of nothing."""
 _UNTOLD = "and the covariance is compared with nothing: record the gains"
@@ -170,6 +172,7 @@ class AlgebraCheck:
         self._unnamed = 0
         self._open: dict[int, Update] = {}
         self._rounding: Array | None = None
+        self._largest: Array
         self._resets = _Resets()
         self._last: Event
         self._since = "the prior"
@@ -195,6 +198,7 @@ class AlgebraCheck:
         self._last = event
         if isinstance(event, TracePrior):
             self.replay = Replay(event)
+            self._largest = self.replay.covariance.diagonal().copy()
             if self.known:
                 self._restart()
             return None
@@ -203,8 +207,11 @@ class AlgebraCheck:
             if len(self._kept) > MOST_KEPT:
                 self._start = None
         before = self.replay.covariance
-        self._carry_rounding(event)
+        if self._rounding is not None:
+            self._rounding = self._carry(self._rounding, event)
+        self._largest = self._carry(self._largest, event)
         fused = self.replay.apply(event)
+        self._largest = np.maximum(self._largest, self.replay.covariance.diagonal())
         if fused is not None:
             self._note_known(before, fused)
         if not self.known:
@@ -393,29 +400,29 @@ class AlgebraCheck:
         # What cancels in P - K S K^T is as large as this, more than P where K is.
         spread = np.sqrt(np.maximum(fused.spread.diagonal(), 0.0))
         size = np.maximum(was, (np.abs(fused.gain) @ spread) ** 2)
-        known = now <= _VANISHED * size
+        known = now <= np.maximum(_VANISHED * size, _LEFT * self._largest)
         old = np.zeros(len(was)) if self._rounding is None else self._rounding
         self._rounding = np.where(known, np.maximum(_BESIDE * size, old), old)
 
-    def _carry_rounding(self, event: Event) -> None:
-        """Carry on what is rounding to where an event leads it."""
-        old, layout = self._rounding, self.replay.layout
-        if old is None:
-            return
+    def _carry(self, variances: Array, event: Event) -> Array:
+        """Return bounds of variances (n,) after an event that makes no entry more certain."""
+        layout = self.replay.layout
         match event:
             case Predict() | Reset():
-                at = layout.columns(event.blocks)
-                old[at] = (np.abs(event.jacobian) @ np.sqrt(old[at])) ** 2
+                at, led = layout.columns(event.blocks), variances.copy()
+                led[at] = (np.abs(event.jacobian) @ np.sqrt(variances[at])) ** 2
+                return led
             case Augment():
-                new = (np.abs(event.jacobian) @ np.sqrt(old[layout.columns(event.blocks)])) ** 2
-                self._rounding = np.concatenate((old, new))
+                of = np.sqrt(variances[layout.columns(event.blocks)])
+                return np.concatenate((variances, (np.abs(event.jacobian) @ of) ** 2))
             case Clone():
-                self._rounding = np.concatenate((old, old[layout.entries(event.source)]))
+                return np.concatenate((variances, variances[layout.entries(event.source)]))
             case Remove():
-                stays = np.ones(len(old), dtype=bool)
+                stays = np.ones(len(variances), dtype=bool)
                 for name in event.blocks:
                     stays[layout.entries(name)] = False
-                self._rounding = old[stays]
+                return variances[stays]
+        return variances
 
     def _least(self, blocks: Blocks) -> Array | None:
         """(n,) variances of blocks below which there is nothing but rounding."""
@@ -480,9 +487,14 @@ class AlgebraCheck:
         """
         if self._is_of_other_gains(recorded):
             return False
-        if not wrong and self._is_indifferent(recorded, least):
+        if not wrong and (self._is_indifferent(recorded, least) or self._all_removed()):
             self._note_gains(_UNTOLD)
         return wrong
+
+    def _all_removed(self) -> bool:
+        """Whether no block is left that a correction without a gain moves by another."""
+        others = {b for one, _ in self._pending if one.event in self._open for b in one.blocks}
+        return others.isdisjoint(self.replay.layout.dims)
 
     def _is_indifferent(self, recorded: Array, least: Array | None) -> bool:
         """Whether a snapshot of all is the same without updates whose gains are not recorded."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from comparisons.errors import InputError, shorten
 from research.documents import (
     guivant,
+    guivant_cost,
     misono,
     nieto_car_park,
     nieto_car_park_scans,
@@ -19,6 +20,7 @@ from research.documents import (
 from research.documents.interface import AnyFigure
 
 FIGURES: tuple[AnyFigure, ...] = (
+    *guivant_cost.FIGURES,
     *guivant.FIGURES,
     *misono.FIGURES,
     *nieto_fastslam.FIGURES,

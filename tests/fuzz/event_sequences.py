@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import Audit
@@ -34,12 +35,14 @@ _CLEAR = 1e-6
 class Drawing:
     """A filter whose next event is drawn, with the error that its estimate has.
 
+    gates: the share of right measurements of a sensor that passes its gate; beyond it none is used.
     off: how often a snapshot, gain or correction is made another. planted: how often one was, or
     rounding was made to decide.
     """
 
     rng: np.random.Generator
     record: Recorder
+    gates: dict[str, float]
     off: float = 0.0
     dims: dict[str, int] = field(default_factory=dict)
     count: int = 0
@@ -120,7 +123,9 @@ class Drawing:
             more["weight"] = rng.uniform(0.1, 1.0)
             more["numbers"] = np.array([float(self.count)])
         self.count += 1
-        if rng.random() < 0.1 or not self._is_clear(h, r, at):
+        of_all = s - (1.0 - more.get("weight", 1.0)) * r  # a part has R over its weight
+        outside = not self._is_clear(h, r, at) or self._is_beyond_gate(sensor, residual, of_all)
+        if rng.random() < 0.1 or outside:
             self.record.reject(sensor, residual, h, r, blocks, **more)
             return
         gain = self.p @ whole.T @ np.linalg.pinv(s)
@@ -287,6 +292,13 @@ class Drawing:
         s = h @ self.p[np.ix_(at, at)] @ h.T + r
         return bool(np.linalg.eigvalsh(s / np.outer(scale, scale))[0] > _CLEAR)
 
+    def _is_beyond_gate(self, sensor: str, residual: Array, s: Array) -> bool:
+        """Whether a residual (m,) is farther off than the sensor's gate lets pass."""
+        if sensor not in self.gates:
+            return False
+        distance = float(residual @ np.linalg.solve(s, residual))
+        return distance > chi2.ppf(self.gates[sensor], len(residual))
+
     def _move(self, at: np.ndarray, f: Array) -> None:
         self.p[at] = f @ self.p[at]
         self.p[:, at] = self.p[:, at] @ f.T
@@ -342,7 +354,7 @@ def tried(seed: int, folder: Path) -> Outcome:
     path = folder / f"{seed}.trace"
     gates = {"gps": 0.99} if rng.random() < 0.2 else {}
     with Recorder(path, gates=gates, synced=False) as record:
-        drawing = Drawing(rng, record, 0.15 if seed % 5 < 2 else 0.0)
+        drawing = Drawing(rng, record, gates, 0.15 if seed % 5 < 2 else 0.0)
         drawing.run()
     audit = audit_trace(path, ROUNDING)
     report = AuditReport.of(audit)
