@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,21 @@ UNUSED = {
 """Why a measurement was not used, by its code."""
 
 
+class Compression(NamedTuple):
+    """What a compressed filter has saved (Guivant 2002, section 4).
+
+    updates: of measurements. compressed: those that left some landmarks passive. active_share: of
+    all states, mean over the updates. global_updates: that carried something over. spared: mean
+    share of the passive covariance that these left alone.
+    """
+
+    updates: int
+    compressed: int
+    active_share: float
+    global_updates: int
+    spared: float
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class EkfRun(Brief):
     """An estimate with what the other estimators need of it.
@@ -57,10 +72,9 @@ class EkfRun(Brief):
     final: the last pose, against the trace's. own_axes: the filter fuses measurements as points in
     the vehicle's axes, not as range and bearing.
     cut_off: scans in which joint compatibility visited its most nodes, and took the best set.
-    spared: what the global updates of a compressed filter left alone: (updates, mean share of the
-    passive covariance). breakdown: what stopped the filter, None when it reached the end.
-    pose_landmarks: measurements of pose landmarks, as the smoother takes them; their ids in
-    the estimate are their landmark indices.
+    compression: what a compressed filter has saved, None of others. breakdown: what stopped the
+    filter, None when it reached the end. pose_landmarks: measurements of pose landmarks, as the
+    smoother takes them; their ids in the estimate are their landmark indices.
     """
 
     estimate: Estimate
@@ -75,7 +89,7 @@ class EkfRun(Brief):
     fix_number: NDArray[np.intp]
     rejected_fixes: int
     cut_off: int = 0
-    spared: tuple[int, float] = (0, 0.0)
+    compression: Compression | None = None
     breakdown: str | None = None
     pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
     deactivated: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
@@ -227,7 +241,7 @@ def run_ekf(
         fix_number=fused,
         rejected_fixes=rejected_fixes,
         cut_off=_cut_off(ekf),
-        spared=_spared(ekf),
+        compression=_compression(ekf),
         breakdown=breakdown,
         pose_landmarks=pose_landmarks,
         deactivated=np.array(sorted(deactivated), dtype=np.intp),
@@ -284,11 +298,18 @@ def _joint_covariance(ekf: Ekf) -> Array:
     return joint
 
 
-def _spared(ekf: Ekf) -> tuple[int, float]:
+def _compression(ekf: Ekf) -> Compression | None:
     if not isinstance(ekf.state, CompressedState):
-        return 0, 0.0
-    updates = [u for u in ekf.state.updates if u.passive]
-    return len(updates), float(np.mean([u.saved for u in updates])) if updates else 0.0
+        return None
+    saved = [update.saved for update in ekf.state.updates if update.passive]
+    work = ekf.state.work
+    return Compression(
+        updates=work.updates,
+        compressed=work.compressed,
+        active_share=work.active_share / work.updates if work.updates else 1.0,
+        global_updates=len(saved),
+        spared=float(np.mean(saved)) if saved else 0.0,
+    )
 
 
 def _as_used(landmark_index: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:

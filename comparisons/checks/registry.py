@@ -6,6 +6,7 @@ from comparisons.checks.accuracy import CheckAccuracy
 from comparisons.checks.algebra import CheckAlgebra
 from comparisons.checks.association import CheckAssociation
 from comparisons.checks.check import Check
+from comparisons.checks.compression import CheckCompression
 from comparisons.checks.consistency.finding import CheckConsistency
 from comparisons.checks.data import CheckBreakdown, CheckData
 from comparisons.checks.explaining import CheckDropouts, CheckMisfit
@@ -33,6 +34,7 @@ CHECKS: tuple[Check, ...] = (
     CheckStatedNoise(),
     CheckAccuracy(),
     CheckAssociation(),
+    CheckCompression(),
     CheckPositions(),
     CheckTruthGap(),
     CheckUnusedPositions(),

@@ -141,6 +141,10 @@ class EkfResult(Model):
         longest_streak: most rejected positions in a row.
         fixes_rejected_by_smoother: rejected positions that the same gate also rejects at the
             smoother's optimum.
+        updates: updates by measurements of a compressed filter.
+        updates_with_passive: those that left landmarks outside the local area passive; in the
+            others it is the full filter.
+        active_share: share of all states that was active, mean over the updates.
         global_updates: global updates of a compressed filter.
         global_update_spared: share of the passive covariance that they left unchanged (set I): less
             is exact, more is quick.
@@ -164,6 +168,9 @@ class EkfResult(Model):
     fixes_rejected_by_smoother: Annotated[
         int, Named("GPS positions rejected that the smoother's optimum rejects as well")
     ] = 0
+    updates: Annotated[int | None, Named("updates")] = None
+    updates_with_passive: Annotated[int | None, Named("updates with passive landmarks")] = None
+    active_share: Annotated[Same[float] | None, Named("active share of the state", _WHOLE)] = None
     global_updates: Annotated[int, Named("global updates")]
     global_update_spared: Annotated[
         Same[float],

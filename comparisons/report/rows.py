@@ -42,6 +42,8 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
         names.append("attributes")
     if ekf.dynamic or ekf.deactivated:
         names += ["dynamic", "deactivated"]
+    if ekf.updates is not None:
+        names += ["updates", "updates_with_passive", "active_share"]
     if ekf.global_updates:
         names += ["global_updates", "global_update_spared"]
     if ekf.gps != "off":

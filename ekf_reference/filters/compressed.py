@@ -55,6 +55,25 @@ class GlobalUpdate:
         return (self.spared / self.passive) ** 2 if self.passive else 0.0
 
 
+@dataclass
+class LocalWork:
+    """What local areas have saved: of all updates, those that left some states passive.
+
+    updates: measurement updates. compressed: those with passive states. active_share: the share of
+    all states that was active, summed over the updates.
+    """
+
+    updates: int = 0
+    compressed: int = 0
+    active_share: float = 0.0
+
+    def add(self, active: int, passive: int) -> None:
+        """Count an update with so many states each."""
+        self.updates += 1
+        self.compressed += passive > 0
+        self.active_share += active / (active + passive)
+
+
 class CompressedState(KalmanState):
     """Updates passive states late: on leaving the area, on removal, or to read mean or covariance.
 
@@ -76,6 +95,7 @@ class CompressedState(KalmanState):
         super().__init__(pose, covariance)
         self.areas = areas
         self.updates: list[GlobalUpdate] = []
+        self.work = LocalWork()
         self._reach_m = areas.reach_m
         self._activate(np.arange(len(pose)), _place(pose), areas.half_m + areas.reach_m)
 
@@ -174,6 +194,7 @@ class CompressedState(KalmanState):
         """Fuse in the active states, then add to psi and theta with the old phi, then move phi."""
         local = self._local_entries(columns)
         done = self._local.update(local, jacobian, innovation, noise)
+        self.work.add(self._local.layout.size, self._passive)
         self._fresh = False
         if not self._passive:
             return done
