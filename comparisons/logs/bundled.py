@@ -70,15 +70,15 @@ def _waypoint_run(choices: SimulationChoices) -> Log:
     return simulate(np.random.default_rng(choices.seed), run)
 
 
-def _scans(experiment: str, what: str, **options: bool) -> NamedLog:
-    """A log of an experiment of scan_drive."""
+def _scans(experiment: str, what: str, *, enclosed: bool = False, **options: bool) -> NamedLog:
+    """A log of an experiment of scan_drive. enclosed: by landmarks among and behind the objects."""
 
     def simulated(choices: SimulationChoices) -> Log:
         from comparisons.logs.simulate import scan_drive
 
-        make = getattr(scan_drive, experiment)
+        made = getattr(scan_drive, experiment)(choices.loops, choices.noise_scale, **options)
         rng = np.random.default_rng(choices.seed)
-        return scan_drive.simulate(rng, make(choices.loops, choices.noise_scale, **options))
+        return scan_drive.simulate(rng, scan_drive.enclosed(made) if enclosed else made)
 
     return NamedLog(what, simulated)
 
@@ -98,14 +98,23 @@ NAMED: dict[str, NamedLog] = {
         "waypoints and back (Misono 2007, section 4.1)", _waypoint_run, ("--seed", "--noise-scale")
     ),
     "scan-loop": _scans("dense_slam", "laser scans, objects and landmarks (Nieto 2005, Fig. 3.17)"),
+    "scan-loop-enclosed": _scans(
+        "dense_slam", "scan-loop with landmarks among and behind the objects", enclosed=True
+    ),
     "scan-loop-fine": _scans("dense_slam_fine", "scan-loop with the noise of a SICK laser"),
     "scan-loop-3d": _scans("dense_slam_in_space", "scan-loop with a 3D scanner of 16 rings"),
     "occupancy-loop": _scans("occupancy", "laser scans for occupancy maps (Nieto 2005, Fig. 4.2)"),
+    "occupancy-loop-enclosed": _scans(
+        "occupancy", "occupancy-loop with landmarks among and behind the objects", enclosed=True
+    ),
     "dynamic-lanes": _scans(
         "dynamic_lanes", "static scanner, traffic (Nieto 2005, Fig. 6.9)", carried=True
     ),
     "dynamic-places": _scans(
         "dynamic_places", "objects added, removed between loops (Nieto 2005, Fig. 6.10)"
+    ),
+    "dynamic-places-enclosed": _scans(
+        "dynamic_places", "dynamic-places with landmarks among and behind them", enclosed=True
     ),
     "scan-slam": _scans("scan_slam", "laser scans without point landmarks (Nieto 2005, Fig. 5.8)"),
     "scan-slam-maps": _scans(

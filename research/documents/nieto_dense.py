@@ -36,8 +36,8 @@ from comparisons.extensions.dense_maps.figure import (
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simulate
-from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
+from comparisons.logs.simulate.scan_drive import ScanExperiment, enclosed, occupancy, simulate
+from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.dense.layers.layer import LayerSamples
 from research.documents.claims import Claims, Why, at_least, at_most, ours
@@ -83,11 +83,6 @@ class Maps:
     closed: tuple[ClosedMap, ...]
     all_drives: tuple[DenseMapping, ...]
     literal: Maps | None = None
-
-
-def enclosed(experiment: ScanExperiment) -> ScanExperiment:
-    """The same drive in its world with landmarks among and behind the objects."""
-    return replace(experiment, world=with_landmarks_among(experiment.world))
 
 
 MORE = f"{MORE_LANDMARKS} landmarks more among and behind the objects"

@@ -25,7 +25,7 @@ from comparisons.extensions.high_level.source import (
 )
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import occupancy, simulate
+from comparisons.logs.simulate.scan_drive import enclosed, occupancy, simulate
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions
@@ -39,7 +39,7 @@ from research.documents.drawing import (
 )
 from research.documents.drives import Drives, true_surroundings
 from research.documents.interface import DocumentFigure, Experiment, Sources
-from research.documents.nieto_dense import MORE, enclosed
+from research.documents.nieto_dense import MORE
 
 EVERY_S, LOOPS = 60.0, 2
 FIRST, LATER = 1, 4

@@ -52,7 +52,7 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert not (folder / "points.png").exists()
 
 
-LITERAL = ("occupancy-loop", "--preset", "nieto-2005")
+LITERAL = ("occupancy-loop-enclosed", "--preset", "nieto-2005")
 
 
 @pytest.mark.slow

@@ -49,6 +49,8 @@ from ekf_reference.dense.layers.layer import LayerSamples
 from graphslam.scan.clouds import write_cloud
 
 _LIKELY = 0.5
+LEAST_COVERED = 0.1
+"""Share of the returns in regions, below which a map says little of what was scanned."""
 
 
 class LayerResult(Model):
@@ -74,6 +76,11 @@ class ReturnsResult(ReturnTally):
 
     waiting: int
     lost: int
+
+    @property
+    def covered(self) -> float:
+        """Share of the returns that the map has; all of none."""
+        return (self.fused + self.late) / self.returns if self.returns else 1.0
 
     def parts(self) -> dict[str, int]:
         """Return all returns by what became of them, each of which is counted once."""
@@ -122,6 +129,7 @@ class MapResult(JobResult):
         first_condition: how the regions met the first condition.
         resolution_m: size of a cell.
         returns: what became of the returns.
+        lacks: why the map says little of what was scanned; empty where it has enough.
         layers: each layer, by name.
         surface_errors: distance from true surfaces, by layer.
         closing: the update that moved the regions the most.
@@ -135,6 +143,7 @@ class MapResult(JobResult):
     first_condition: FirstCondition
     resolution_m: float
     returns: ReturnsResult
+    lacks: str
     layers: dict[str, LayerResult]
     surface_errors: dict[str, SurfaceError]
     closing: BeforeClosing | None
@@ -148,13 +157,15 @@ class MapReport(Report[DenseMapping, MapResult]):
     def build(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
         """The findings, read being the time that reading the log took."""
         m = mapping
+        returns = _returns(m.dense.dense)
         return MapResult(
             ekf=ekf_result(m.ekf, m.prepared.ekf),
             scan_landmarks=len(m.ekf.estimate.pose_landmarks),
             regions=len(m.placed.triangle),
             first_condition=FirstCondition.of(m.dense),
             resolution_m=m.dense.options.resolution_m,
-            returns=_returns(m.dense.dense),
+            returns=returns,
+            lacks=_lacks(m, returns),
             layers={
                 name: LayerResult(
                     samples=len(s.point), occupied=int(np.count_nonzero(s.occupancy > OCCUPIED))
@@ -168,6 +179,11 @@ class MapReport(Report[DenseMapping, MapResult]):
             **found_entries(m.known, MapResult),
             **about_job(m.prepared, m.dense.clock.after(read, m.prepared.clock), m.prepared.ekf),
         )
+
+    @property
+    def outcome(self) -> str:
+        """A map of almost nothing decides nothing."""
+        return "unverified" if self.result.lacks else "agree"
 
     def summary(self) -> Summary:
         """Return what the command prints: what the map holds, and how good it is."""
@@ -188,6 +204,8 @@ class MapReport(Report[DenseMapping, MapResult]):
             lines.append(("surfaces", f"median distance to true ones: {', '.join(errors)}"))
         return Summary(
             headline=f"map: {fused} scan returns in {result.regions:,} regions",
+            look=self.outcome,
+            reasons=[result.lacks] if result.lacks else [],
             remarks=result.remarks,
             lines=[*lines, *known.lines],
             rows=_map_rows(result, known),
@@ -319,13 +337,27 @@ def _dynamic(m: DenseMapping) -> DynamicResult | None:
     )
 
 
-def _remarks(m: DenseMapping) -> list[str]:
-    remarks = [m.ekf.breakdown] if m.ekf.breakdown else []
+def _lacks(m: DenseMapping, returns: ReturnsResult) -> str:
     if not len(m.placed.triangle):
-        remarks.append(
+        return (
             "no three landmarks meet the conditions of a region "
             f"({m.dense.options.first_condition}), so the map is empty"
         )
+    if returns.covered >= LEAST_COVERED:
+        return ""
+    share = f"only {100.0 * returns.covered:.2g} % of the returns are in the map"
+    if returns.outside >= returns.lost + returns.waiting:
+        why = (
+            f"{returns.outside:,} lie outside all regions, which are triangles of landmarks: some "
+            "have to stand among and behind what is scanned (Nieto 2005, sections 3.4 and 3.5)"
+        )
+    else:
+        why = f"{returns.lost + returns.waiting:,} waited for a region that never came about"
+    return f"{share}: {why}"
+
+
+def _remarks(m: DenseMapping) -> list[str]:
+    remarks = [m.ekf.breakdown] if m.ekf.breakdown else []
     if m.dense.before is not None:
         remarks.append(
             f"the update at {m.dense.before.time_s:.1f} s moved the regions by "

@@ -23,11 +23,13 @@ from comparisons.logs.simulate.drive import (
 from comparisons.logs.simulate.dynamic_worlds import lanes_world, parked_world, places_world
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_worlds import (
+    MORE_LANDMARKS,
     ScanWorld,
     dense_scan_slam_world,
     dense_slam_world,
     occupancy_world,
     scan_slam_world,
+    with_landmarks_among,
 )
 from comparisons.logs.simulate.scanners import Planar, Rings
 
@@ -184,6 +186,17 @@ def dynamic_places(
     table = _Table(every=14, steering_deg=3.0, range_m=0.15, bearing_deg=1.0, reach_m=25.0)
     drive = replace(_drive(world, loops + 1, noise_scale, table), extra_s=0.0)
     return _experiment("dynamic-places", "section 6.3.3, Fig. 6.10", world, drive)
+
+
+def enclosed(experiment: ScanExperiment) -> ScanExperiment:
+    """The same drive in its world with landmarks among and behind the objects.
+
+    The thesis' regions are triangles of landmarks that enclose what is scanned (Nieto 2005,
+    sections 3.4 and 3.5); where these stand it shows in pictures alone.
+    """
+    source = f"{experiment.source}, and so are {MORE_LANDMARKS} landmarks among the objects"
+    world = with_landmarks_among(experiment.world)
+    return replace(experiment, name=f"{experiment.name}-enclosed", source=source, world=world)
 
 
 def parked_cars() -> ScanExperiment:
