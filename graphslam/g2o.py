@@ -34,7 +34,7 @@ from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
 from graphslam.problem import OPEN_PRIOR, LoopClosures, SlamProblem
 from graphslam.scan import planar
-from graphslam.sensor_frame import other_frame
+from graphslam.sensor_frame import in_words, other_frame
 
 _FREE_PRIOR = 1e-12
 """Variance of the first pose where a file says nothing of the frame, or fixes that pose."""
@@ -342,11 +342,9 @@ def _vertices(edges: tuple[Index, Index, Array], covariance: Array, poses: Array
     frame = other_frame(*edges, covariance, poses)
     if frame is None:
         return ""
-    ahead, left, turn = frame[0], frame[1], np.degrees(frame[2])
     return (
-        f"the edges fit the vertices as motions of a frame {ahead:.2f} m ahead of theirs, "
-        f"{left:.2f} m to the left and turned by {turn:.1f} degrees: edges and vertices are of two "
-        "frames"
+        f"the edges fit the vertices as motions of a frame {in_words(*frame[:2])} of theirs and "
+        f"turned by about {np.degrees(frame[2]):.1f} degrees: edges and vertices are of two frames"
     )
 
 

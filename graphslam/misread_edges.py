@@ -22,7 +22,7 @@ from graphslam.optimisers import levenberg_marquardt, optimise, polish
 from graphslam.optimum import ChiSquareTest, chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.search import relaxed_values
-from graphslam.sensor_frame import mount
+from graphslam.sensor_frame import in_words, mount
 
 _NEAR = 0.1
 """A frame that the odometry tells leaves at most so much of the chi-square, before it is fitted."""
@@ -184,11 +184,10 @@ def _of_another_frame(
         frame = minimize(error, frame, method="BFGS", options={"gtol": 0.01}).x
     except RuntimeError:
         return
-    ahead, left, turn = frame[0], frame[1], np.degrees(frame[2])
     yield (
         (
-            f"the loop closures fit as motions of a frame {ahead:.2f} m ahead, {left:.2f} m to the "
-            f"left and turned by {turn:.1f} degrees"
+            f"the loop closures fit as motions of a frame {in_words(*frame[:2])} and turned by "
+            f"{np.degrees(frame[2]):.1f} degrees"
         ),
         moved(frame),
     )

@@ -69,3 +69,15 @@ def _squared(
     whitened = np.linalg.solve(covariance, residual[:, :, None])[:, :, 0]
     squared: Array = (residual * whitened).sum(axis=1)
     return squared
+
+
+def in_words(ahead_m: float, left_m: float, *, digits: int = 2) -> str:
+    """Say where a place is, as seen from a vehicle.
+
+    Args:
+        ahead_m: Negative behind.
+        left_m: Negative to the right.
+        digits: Of the numbers.
+    """
+    along, aside = "behind" if ahead_m < 0.0 else "ahead", "right" if left_m < 0.0 else "left"
+    return f"{abs(ahead_m):.{digits}f} m {along} and {abs(left_m):.{digits}f} m to the {aside}"

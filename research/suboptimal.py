@@ -76,8 +76,10 @@ def driven(log: Log, gain: float) -> Driven:
     ekf = EkfConfig.of(filter=name, least_gain=gain if gain > 0.0 else None)
     with mock.patch.object(CompressedState, "_global_update", measured):
         (run, _), filter_s = timed(run_filter, prepare(log, RunConfig(ekf=ekf)))
+    saved = run.compression
+    assert saved is not None
     variance = np.trace(run.estimate.landmark_covariances(), axis1=1, axis2=2)
-    return Driven(np.sqrt(variance), *run.spared, sum(spent), filter_s)
+    return Driven(np.sqrt(variance), saved.global_updates, saved.spared, sum(spent), filter_s)
 
 
 def over_gains(log: Log, gains: Sequence[float]) -> None:

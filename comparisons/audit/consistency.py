@@ -493,7 +493,8 @@ def _bias(column: Array, label: str, level: float) -> list[ConsistencyDeparture]
 def _white(series: Whiteness, level: float) -> list[ConsistencyDeparture]:
     if series.order != "time" or series.p_value >= level:
         return []
-    text = f"{series.component} is correlated in time: {series.autocorrelation[0]:+.2f} at lag 1"
+    first = float(np.clip(series.autocorrelation[0], -1.0, 1.0))  # of few pairs it may be beyond
+    text = f"{series.component} is correlated in time: {first:+.2f} at lag 1"
     squared = [(2.0 * c / b) ** 2 for c, b in zip(series.autocorrelation, series.band, strict=True)]
     weight = rarity(sum(squared) / len(squared), len(squared))
     return [ConsistencyDeparture(text, series.p_value, weight=weight)]

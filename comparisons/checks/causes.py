@@ -100,12 +100,12 @@ EXPLANATIONS: dict[str, Explanation] = {
         decides="never",
     ),
     "misfit": Explanation(
-        "No single change makes the log fit",
+        "None of the changes tried makes the log fit",
         "The smoother's chi-square is too high, and neither another number, unit or sign, nor "
         "another noise of one sensor leaves the stated noise everywhere. The evidence says where "
         "the residuals first leave it. This cause explains another one and never appears alone.",
-        "Check what was recorded there: its association, its clock, its frame. Two faults at "
-        "once fit by no single change.",
+        "Check what was recorded there: its association, its clock, its frame. Only one change at "
+        "a time is tried, and not every one that there may be.",
         decides="never",
     ),
     "dropout": Explanation(

@@ -159,8 +159,8 @@ def misfit(test: ChiSquareTest, departure: str, consistency: Consistency | None)
         if consistency and nis.worded(consistency.outside)[0] == "too high"
     ]
     parts = [
-        f"no single change makes the log fit: chi-square {test.chi2:.0f} for {test.dof} degrees "
-        "of freedom",
+        f"none of the changes tried makes the log fit: chi-square {test.chi2:.0f} for {test.dof} "
+        "degrees of freedom",
         departure,
         f"these mean NIS are too high as well: {', '.join(listed)}" if listed else "",
     ]

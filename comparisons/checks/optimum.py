@@ -40,10 +40,7 @@ def unverified(optimality: Optimality) -> Cause:
     if optimality.distance_sigma > DISTANCE_LIMIT:
         hint = "use the batch smoother, or a longer lag"
     elif optimality.chi_square.reading == "too high":
-        hint = (
-            "check the stated noise and the association; --accept-misfit accepts the lowest "
-            "minimum despite its chi-square"
-        )
+        hint = "check the log where its residuals depart: `slamcheck logs LOG` names the place"
     else:
         hint = "check the stated noise and the association: the smoother may be in a local minimum"
     return Cause("oracle", optimality.lacks, hint)

@@ -12,6 +12,7 @@ from comparisons.arrays import Array
 from comparisons.logs.log import Poses
 from comparisons.plane import turned
 from comparisons.statistics import mean_band
+from graphslam.sensor_frame import in_words
 
 _OUTSIDE = 0.001
 """Share of positions, of a right motion, whose chi-square is outside the band that is asked for."""
@@ -79,8 +80,7 @@ def _motions(seen: PositionObservations, path: Poses) -> list[_Motion]:
         return np.asarray(own @ ((cos, sin), (-sin, cos)) + p[1:])
 
     def placed(p: Array) -> str:
-        forward, left = p + seen.antenna_m
-        return f"an antenna at {forward:.2f} m ahead, {left:.2f} m to the left of the pose"
+        return f"an antenna at {in_words(*(p + seen.antenna_m))} of the pose"
 
     return [
         _Motion(

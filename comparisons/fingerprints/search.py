@@ -12,7 +12,7 @@ from comparisons.adapters.motion import CLOCK_S
 from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.faults.catalogue import catalogue, families, own_start
+from comparisons.faults.catalogue import catalogue, families, is_setting, own_start
 from comparisons.faults.fault import Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED
 from comparisons.fingerprints.estimate_motion import in_words
@@ -153,7 +153,9 @@ def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:
             "fault",
             f"{first.fault}: with {these} the reference filter equals the estimate{until} "
             f"({first.sigma:.1g} sigma; without it {sound.farthest:.2g}){way}",
-            f"correct this in the filter: {first.fault}",
+            "the log and the filter state different ones: correct the one that is wrong"
+            if is_setting(first.fault)
+            else "correct this in the filter",
         )
     others = [f"{one.fault} ({one.sigma:.2g})" for one in rest[:1]]
     named = ", or: ".join((f"{first.fault} ({first.sigma:.2g} sigma)", *others))

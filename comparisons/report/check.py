@@ -253,9 +253,9 @@ def _grade_words(result: CheckResult) -> str:
         "like": f"like {name}",
         "plausible": "plausible",
         "wrong": "wrong",
-        None: "none, for too little of the log is covered"
+        None: "none: too little of the log is covered"
         if _short(result)
-        else "none, for optimum or association is not verified",
+        else "none: optimum not verified",
     }[result.grade]
 
 

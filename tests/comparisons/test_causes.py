@@ -243,7 +243,7 @@ def test_no_sigma_is_blamed_for_what_it_does_not_explain() -> None:
     c = compared(replace(log, measurements=replace(seen, range_m=range_m)))
     assert "noise" not in [one.gap for one in c.verdict.causes]
     (cause,) = [one for one in c.verdict.causes if one.gap == "misfit"]
-    assert cause.evidence.startswith("no single change makes the log fit: chi-square ")
+    assert cause.evidence.startswith("none of the changes tried makes the log fit: chi-square ")
     assert "the residuals depart " in cause.evidence
     assert "sigma" not in cause.hint
 

@@ -131,11 +131,12 @@ MOTIONS: dict[str, tuple[Move, str, str]] = {
     "scale": (lambda t, p: p * (1.05, 1.05, 1.0), "scale", r"is 1\.0[45]"),
     "centimetres": (lambda t, p: p * (100.0, 100.0, 1.0), "scale", r"is (99|100)\.\d+ times"),
     "heading": (lambda t, p: p + (0.0, 0.0, np.pi / 2), "heading", r"differ by (89|90)\.\d deg"),
-    "point": (lambda t, p: of_point(p, 0.8, 0.3), "lever", r"point 0\.[78]\d+ m forward"),
+    "point": (lambda t, p: of_point(p, 0.8, 0.3), "lever", r"point 0\.[78]\d+ m ahead"),
     "a sensor's frame": (
         lambda t, p: about_origin(of_point(p, 0.8, 0.3) + (0.0, 0.0, np.pi / 2), -0.3, (2.0, 1.0)),
         "lever",
-        r"frame 0\.[78]\d m forward, 0\.[23]\d m left .* turned by (89|90)\.\d degrees, rotated",
+        r"frame 0\.[78]\d m ahead and 0\.[23]\d m to the left .* turned by (89|90)\.\d degrees, "
+        r"rotated",
     ),
     "shift without headings": (
         lambda t, p: p * (1.0, 1.0, 0.0) + (5.0, -3.0, 0.0),

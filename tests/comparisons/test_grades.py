@@ -165,7 +165,7 @@ NAMED = {
     "headings clockwise": "clockwise",
     "mirrored path": "is mirrored",
     "stamps one scan late": "the time stamps are 0.2",
-    "path of another point": "-0.300 m forward",
+    "path of another point": "0.300 m behind",
     "one pose off by 0.5 m": "1 of 76 poses",
     "path cut at 60 %": "of 15.0 s: it ends at",
     "path starts at 40 %": "of 15.0 s: it begins at",

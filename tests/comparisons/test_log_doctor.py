@@ -90,7 +90,7 @@ def test_more_noise_than_stated_is_no_unit() -> None:
     found = examine(noisy)
     assert found.test.reading == "too high"
     assert not found.findings
-    assert "no single change fits; the residuals depart " in found.words
+    assert "none of the changes tried fits; the residuals depart " in found.words
 
 
 def test_the_command_says_so(tmp_path: Path) -> None:
@@ -219,6 +219,6 @@ def test_a_long_log_has_to_fit_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> No
     found = examine(half)
     assert not found.findings
     assert "of its first " in found.words
-    assert "no single change fits" in found.words
+    assert "none of the changes tried fits" in found.words
     whole = examine(sensed(right, bearing=(-1.0, 0.0)))
     assert "bearings grow clockwise" in whole.words

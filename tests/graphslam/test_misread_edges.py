@@ -123,7 +123,7 @@ def test_closures_of_a_sensors_frame_are_found() -> None:
     assert found is not None
     assert found.chi_square.chi2 <= 2.0 * right.error + 1e-6
     said = re.fullmatch(
-        r"the loop closures fit as motions of a frame (\S+) m ahead, (\S+) m to the left and "
+        r"the loop closures fit as motions of a frame (\S+) m ahead and (\S+) m to the left and "
         r"turned by (\S+) degrees",
         found.words,
     )

@@ -101,7 +101,7 @@ def test_statements_about_a_damaged_log_are_judged() -> None:
     said = ["the log fits if bearings grow clockwise", "the log fits with a noise of the range 3"]
     found = damaged.judged("a log", said, ["clockwise", "^$"])
     assert (found.right, found.wrong) == (said[:1], said[1:])
-    for symptom in ("no single change makes the log fit: chi-square 9", "do not fit it"):
+    for symptom in ("none of the changes tried makes the log fit: chi-square 9", "do not fit it"):
         assert not damaged.STATED.search(symptom)
     for fact in (
         *said,

@@ -20,6 +20,7 @@ from comparisons.arrays import Array
 from comparisons.plane import rms
 from comparisons.statistics import f_quantile
 from comparisons.words import Cause
+from graphslam.sensor_frame import in_words
 
 Complex = NDArray[np.complex128]
 Fit = Callable[[Complex, Complex], tuple[complex, complex, str]]
@@ -247,7 +248,7 @@ def _of_frame(paths: Paths, moved: PathTransform) -> PathMotion:
     if not moved.yaw_rad:
         return paths.motion("frame", 3, left, said, _FRAME_HINT, moved)
     said = (
-        f"that of a frame {moved.arm.real:.2f} m forward, {moved.arm.imag:.2f} m left of the "
+        f"that of a frame {in_words(moved.arm.real, moved.arm.imag)} of the "
         f"reference point and turned by {np.degrees(moved.yaw_rad):.1f} degrees, {said}"
     )
     return paths.motion("lever", 6, left, said, _LEVER_HINT, moved)
@@ -323,10 +324,7 @@ def _motions(paths: Paths) -> Iterator[PathMotion]:
     if known and moved >= _INTERPOLATED * as_is:
         ahead = np.exp(1j * paths.reference[:, 2])
         arm = complex(np.mean((u - v) / ahead))
-        said = (
-            f"that of a point {arm.real:.3f} m forward and {arm.imag:.3f} m left "
-            "of the reference point"
-        )
+        said = f"that of a point {in_words(arm.real, arm.imag, digits=3)} of the reference point"
         yield motion("lever", 2, u - v - arm * ahead, said, _LEVER_HINT)
 
 

@@ -171,9 +171,10 @@ def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause
     filtered = clues.filtered() if found.reference.smoothed else None
     if filtered is not None and _fits(given, found, filtered):
         if clues.closed:
+            landmarks = " and landmarks" if len(found.theirs) else ""
             return Cause(
                 "data",
-                "the poses are those of the log's odometry and landmarks alone: no loop closure is "
+                f"the poses are those of the log's odometry{landmarks} alone: no loop closure is "
                 "used",
                 "check that the closures reach the optimiser, and that what is written is its "
                 "result, not its start",
@@ -220,7 +221,9 @@ def _apart(
     return Cause(
         "estimate",
         "; ".join(parts),
-        "check associations, signs and noise; supply a trace, which separates algebra from models",
+        "check associations, signs and noise; supply a trace, which separates algebra from models"
+        if not reference.smoothed
+        else "check signs, frames and noise of what the optimiser is given",
     )
 
 

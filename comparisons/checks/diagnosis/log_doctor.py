@@ -81,7 +81,7 @@ class Examination(NamedTuple):
         where = f"; {self.departure}" if self.departure else ""
         return (
             f"chi-square{self.part} is too high, {test.chi2:.4g} for {test.dof} degrees of "
-            f"freedom, and no single change fits{where}"
+            f"freedom, and none of the changes tried fits{where}"
         )
 
 

@@ -24,6 +24,7 @@ from comparisons.words import Cause
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements
+from graphslam.sensor_frame import in_words
 
 MATCHER = "Open3D, generalised ICP"
 GATE = float(chi2.ppf(0.99, 3))
@@ -308,7 +309,7 @@ def matching_cause(own: OwnMatchingCheck) -> Cause:
     if own.shifted:
         (x, y), turn = own.shift_m, own.shift_rad
         parts.append(
-            f"all alignments of the filter are shifted by {x:.3f} m forward, {y:.3f} m left "
+            f"all alignments of the filter are shifted by {in_words(x, y, digits=3)} "
             f"and {np.degrees(turn):.2f} degrees from the smoother's own "
             f"({own.shift_sigma:.1f} sigma)"
         )

@@ -133,7 +133,8 @@ def _clock(lines: list[int], times: Array) -> _Clock:
         fallen = np.flatnonzero(fall[:, 0] > _LARGEST_FALL_S)
         why = f"IPC's fall back by {fall[fallen[0], 0]:.6g} s in line {lines[fallen[0]]}"
         if len(fallen) > 1:
-            why += f" and, by up to {fall[:, 0].max():.6g} s, in {len(fallen) - 1} more"
+            most = fall[fallen[1:], 0].max()
+            why += f", and by up to {most:.6g} s in {len(fallen) - 1} more lines"
     if usable[1]:
         return _Clock(1, f"the logger's, since {why}")
     other = "do so, too"
@@ -141,7 +142,7 @@ def _clock(lines: list[int], times: Array) -> _Clock:
         other = "repeat" if coarse[1] else "fall back"
     if np.isnan(times[:, 1]).any():
         other = "are missing"
-    return _Clock(None, f"scan numbers in place of seconds, since {why} and the logger's {other}")
+    return _Clock(None, f"scan numbers in place of seconds, since {why}; the logger's {other}")
 
 
 def _in_order(times: Array, clock: _Clock) -> tuple[Index, Array, int, int]:

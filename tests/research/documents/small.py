@@ -16,6 +16,7 @@ from comparisons.logs.simulate.waypoints import simulate as simulate_waypoints
 from ekf_reference.dense.layers.layer import LayerSamples
 from research.documents import (
     guivant,
+    guivant_cost,
     misono,
     nieto_car_park,
     nieto_car_park_scans,
@@ -162,6 +163,7 @@ SMALL: dict[str, Callable[[], Any]] = {
     "Misono's Fig. 6": lambda: misono.journeys(Sources(drives=1)),
     "Guivant's Figs. 8 and 9": lambda: guivant.aided(Sources()),
     "Guivant's Fig. 7": covered,
+    "Guivant's cost": lambda: guivant_cost.measured(Sources(), (250, 300), 300),
     "Guivant's updates in parts": splits,
     "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
     "section 5.6": scan_drives,

@@ -49,7 +49,7 @@ def test_names_are_unique_and_say_where_they_come_from() -> None:
     documents = {"G": "Guivant", "M": "Misono", "N": "Nieto"}
     for figure in FIGURES:
         assert figure.source.startswith(documents[figure.name[0]])
-        place = "section" if figure.name == "G4.2" else "Fig."
+        place = "section" if figure.name in ("G4.1", "G4.2") else "Fig."
         assert f"{place} {figure.name[1:]}" in figure.source
         assert figure.says.endswith(".")
     experiments = {f.experiment.name: f.experiment for f in FIGURES}
