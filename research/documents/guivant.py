@@ -112,15 +112,28 @@ def aided(sources: Sources) -> Aided:
     return aid(replace(log, positions=Positions(time, poses.at(time)[:, :2] + noise, spread)))
 
 
+def as_published(log: Log, filter_name: str) -> tuple[Log, EkfConfig]:
+    """A log and settings as `--preset guivant-2002 --gps on` has them."""
+    config = RunConfig.of(
+        preset="guivant-2002",
+        log={"source": log.name, "format": log.format},
+        ekf={"filter": filter_name, "gps": "on"},
+    )
+    sigma_m = config.log.sigma_position_m
+    if sigma_m is not None and log.positions is not None:
+        log = replace(log, positions=log.positions.with_sigma(sigma_m))
+    return log, settle(config.ekf, log)
+
+
 def aid(log: Log, filter_name: str = "full") -> Aided:
     """Withhold a log's positions for ALONE_S, then watch for AFTER_S."""
+    log, choices = as_published(log, filter_name)
     given = log.positions
     if given is None:
         raise InputError(f"{log.name}: holds no positions")
     start = log.prior.time_s + ALONE_S
     due = (given.time_s >= start - _CLOCK_S) & (given.time_s <= min(log.end_s, start + AFTER_S))
     positions = given.chosen(due)
-    choices = settle(EkfConfig(filter=filter_name, association=None, gps="on"), log)
     time, pose, sigma, maps, parts, first = [], [], [], [], np.empty((0, 2)), -1
     trace = RecordedTrace()
     for time_s, ekf, fused in _epochs(log, choices, positions, trace):
@@ -182,8 +195,7 @@ def _epochs(
 
 def covered(sources: Sources) -> Covered:
     """Victoria Park with GPS."""
-    log = sources.log("victoria_park")
-    choices = settle(EkfConfig(filter="compressed", association=None, gps="on"), log)
+    log, choices = as_published(sources.log("victoria_park"), "compressed")
     positions = fused_positions(log, choices)
     if positions is None:
         raise InputError(f"{log.name}: holds no positions")
@@ -192,7 +204,7 @@ def covered(sources: Sources) -> Covered:
     apart = cKDTree(positions.time_s[:, None]).query(time[:, None])[0]
     trees = cKDTree(run.estimate.landmark)
     return Covered(
-        f"{log.name}, --gps on, --filter compressed",
+        f"{log.name}, --gps on, --filter compressed, --preset guivant-2002",
         path,
         run.estimate.landmark,
         apart <= _GAP_S,
@@ -214,7 +226,12 @@ def _claims_7(found: Covered) -> Claims:
         f"GPS is missing where trees are dense (mean number within {NEAR_M:.0f} m where it is "
         "missing, over where it is not)"
     )
-    yield at_least(text, found.around[~found.heard].mean() / found.around[found.heard].mean(), 1.0)
+    why = elsewhere(
+        "the public log does not say which positions have the 10 cm; taken for all of them, they "
+        "bend the map"
+    )
+    ratio = found.around[~found.heard].mean() / found.around[found.heard].mean()
+    yield at_least(text, ratio, 1.0, why=why)
     text = "it is missing on a good part of the way (share of the epochs)"
     yield at_least(text, np.mean(~found.heard), 0.1, own=True)
 

@@ -71,7 +71,7 @@ def rotated(positions: Positions) -> Positions:
 
 
 WRONG: dict[str, tuple[Callable[[Positions], Positions], str, tuple[float, ...]]] = {
-    "antenna": (lambda p: replace(p, antenna_m=(-2.0, 1.0)), "an antenna at", (2.0, -0.8)),
+    "antenna": (lambda p: replace(p, antenna_m=(-2.0, 1.0)), "m to the right", (2.0, 0.8)),
     "offset": (
         lambda p: replace(p, position_m=p.position_m + (4.0, -3.0)),
         "an offset of",

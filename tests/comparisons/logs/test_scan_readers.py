@@ -278,7 +278,7 @@ def test_carmen_lines_out_of_order(tmp_path: Path) -> None:
     log = read_log(carmen(tmp_path, fallen))
     assert steps(log) == [1.0, 1.0, 1.0]
     assert log.provenance["times"] == (
-        "scan numbers in place of seconds, since IPC's fall back by 0.3 s in line 3 and the "
+        "scan numbers in place of seconds, since IPC's fall back by 0.3 s in line 3; the "
         "logger's do so, too"
     )
     assert isinstance(log.odometry, RelativePoses)

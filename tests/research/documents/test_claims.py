@@ -143,6 +143,20 @@ def deaf(a: Any) -> Any:
     )
 
 
+def never_compressed(costs: Any) -> Any:
+    """The local step costs what the full one does, and what it learns is lost."""
+    slow = tuple(replace(one, step_ms=1e-3 * one.landmarks**2) for one in costs.compressed)
+    full = tuple(replace(one, step_ms=1e-3 * one.landmarks**2) for one in costs.full)
+    return replace(costs, full=full, compressed=slow, gap=1.0)
+
+
+def each_alike(costs: Any) -> Any:
+    """No time depends on the size of the map."""
+    full = tuple(replace(one, step_ms=1.0) for one in costs.full)
+    compressed = tuple(replace(one, leaving_ms=1.0) for one in costs.compressed)
+    return replace(costs, full=full, compressed=compressed)
+
+
 def jumpy(a: Any) -> Any:
     return replace(a, sigma_m=np.where(np.arange(len(a.time_s)) == a.first, 1.0, 0.5))
 
@@ -271,6 +285,8 @@ def scans_exact(c: Any) -> Any:
 
 
 BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
+    ("G4.1", never_compressed, {0, 1, 4}),
+    ("G4.1", each_alike, {2, 3}),
     ("G7", lambda c: replace(c, heard=~c.heard), {0}),
     ("G7", lambda c: replace(c, heard=np.arange(len(c.heard)) != 150), {1}),
     ("G8", deaf, {0, 1, 3}),
