@@ -33,13 +33,6 @@ GUIVANT = (
         "mean NIS is 25, 23 of 335 landmarks are not the smoother's, and the filter is 1.110 m "
         "from the positions held out (median) where with 0.5 m it is 0.895",
     ),
-    Documented(
-        place="G 4", what="share of all states in a local area from which on all are active "
-        "(compressed filter; the document has no such)", value=1.0,
-        at="comparisons.adapters.ekf_factory:SHARE",
-        reason="to keep phi costs more than it saves there: with 118 of 200 landmarks active a "
-        "step takes 0.50 ms, one of the full filter 0.44 (research.documents G4.1)",
-    ),
 )  # fmt: skip
 
 MISONO = (
