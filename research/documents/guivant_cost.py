@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as Canvas
@@ -91,9 +92,9 @@ def field_log(landmarks: int) -> Log:
     """A round in the middle of a field of so many landmarks, all of which the first scan sees."""
     rng = np.random.default_rng(landmarks)
     side = math.ceil(math.sqrt(landmarks))
-    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2)
+    line = np.arange(side) - 0.5 * (side - 1)
+    grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     # The nearest to the middle, wherever the grid is cut.
-    grid = grid - 0.5 * (side - 1)
     nearest = np.argsort(np.hypot(*grid.T), kind="stable")[:landmarks]
     places = SPACING_M * (grid[nearest] + rng.uniform(-0.3, 0.3, (landmarks, 2)))
     angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
@@ -112,12 +113,11 @@ def field_log(landmarks: int) -> Log:
     all_round = replace(drive, max_range_m=math.inf, field_of_view_rad=2.0 * math.pi)
     start = log.truth.poses.pose[:1]
     survey = point_measurements(rng, all_round, places, log.truth.poses.time_s[:1], start)
-    seen = LandmarkMeasurements(
-        **{
-            name: np.concatenate((getattr(survey, name), getattr(log.measurements, name)))
-            for name in _COLUMNS
-        }
-    )
+    columns: dict[str, Any] = {
+        name: np.concatenate((getattr(survey, name), getattr(log.measurements, name)))
+        for name in _COLUMNS
+    }
+    seen = LandmarkMeasurements(**columns)
     prior = replace(log.prior, covariance=np.diag(START_SIGMA**2))
     return replace(log, name=f"field-{landmarks}", prior=prior, measurements=seen)
 

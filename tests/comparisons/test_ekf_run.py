@@ -15,7 +15,7 @@ from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from research.documents.drives import watched_run
 from tests.ekf_reference.filters.test_compressed import NoTheta
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 
 
 class Meddler(FilterObservers):
@@ -30,9 +30,10 @@ def test_driving_a_compressed_filter_asks_for_no_global_updates() -> None:
     """There are as many as areas are left, not as many as epochs; a careless reader is told."""
     log = simulated(loop_s=60.0)
     timeline, choices = build_timeline(log), settle(EkfConfig(filter="compressed-suboptimal"), log)
-    updates, _ = run_ekf(log, timeline, choices).spared
+    updates = present(run_ekf(log, timeline, choices).compression).global_updates
     beside = FilterSetup(observers=[Meddler()])
-    meddled, _ = run_ekf(log, timeline, choices, setup=beside).spared
+    read = run_ekf(log, timeline, choices, setup=beside)
+    meddled = present(read.compression).global_updates
     assert 0 < updates < 0.1 * len(timeline.epoch_time_s)
     assert meddled > 0.5 * len(timeline.epoch_time_s)
 

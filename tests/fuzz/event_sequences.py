@@ -297,7 +297,7 @@ class Drawing:
         if sensor not in self.gates:
             return False
         distance = float(residual @ np.linalg.solve(s, residual))
-        return distance > chi2.ppf(self.gates[sensor], len(residual))
+        return bool(distance > chi2.ppf(self.gates[sensor], len(residual)))
 
     def _move(self, at: np.ndarray, f: Array) -> None:
         self.p[at] = f @ self.p[at]
