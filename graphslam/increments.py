@@ -252,6 +252,35 @@ def dead_reckoned(prior_pose: Array, displacement: Array) -> Array:
     return poses
 
 
+def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> Array:
+    """Return covariances (K, 3, 3) of poses that the odometry alone leads to, to first order.
+
+    An error of step j turns what comes after it about pose j: with T(p) = [[I, J p], [0, 1]], J a
+    quarter turn, it is T(p_k) T(-p_j) times as large at pose k, so that all sums run along once.
+
+    Args:
+        prior: (3, 3) of the first pose, additive in the world's frame.
+        poses: (K, 3) of `dead_reckoned`.
+        covariance: (K-1, 3, 3) of the increments' right perturbations, in the frame of arrival.
+    """
+    cos, sin = np.cos(poses[1:, 2]), np.sin(poses[1:, 2])
+    into_world = np.zeros_like(covariance)
+    into_world[:, :2, :2] = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
+    into_world[:, 2, 2] = 1.0
+    step = np.concatenate((prior[None], into_world @ covariance @ into_world.mT))
+    back, there = _about(-poses[:, :2]), _about(poses[:, :2])
+    summed = np.cumsum(back @ step @ back.mT, axis=0)
+    found: Array = there @ summed @ there.mT
+    return found
+
+
+def _about(place: Array) -> Array:
+    """T(p) (K, 3, 3) of places (K, 2)."""
+    turn = np.tile(np.eye(3), (len(place), 1, 1))
+    turn[:, 0, 2], turn[:, 1, 2] = -place[:, 1], place[:, 0]
+    return turn
+
+
 def _dead_reckoning(displacement: Array) -> tuple[Array, Array, Array]:
     """Heading, x, y (N + 1,) of the samples chained from the origin."""
     heading = np.concatenate(([0.0], np.cumsum(displacement[:, 2])))

@@ -10,6 +10,7 @@ from comparisons.checks.compression import CheckCompression
 from comparisons.checks.consistency.finding import CheckConsistency
 from comparisons.checks.data import CheckBreakdown, CheckData
 from comparisons.checks.explaining import CheckDropouts, CheckMisfit
+from comparisons.checks.gained import CheckGain
 from comparisons.checks.linearisation import CheckLinearisation
 from comparisons.checks.model import CheckModel
 from comparisons.checks.optimum import CheckOptimum
@@ -35,6 +36,7 @@ CHECKS: tuple[Check, ...] = (
     CheckAccuracy(),
     CheckAssociation(),
     CheckCompression(),
+    CheckGain(),
     CheckPositions(),
     CheckTruthGap(),
     CheckUnusedPositions(),
