@@ -27,7 +27,7 @@ from comparisons.logs.transforms.published_sigmas import with_published_sigmas
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from comparisons.settings import configure, run_options
-from research.documents.claims import Claims, at_least, at_most, elsewhere
+from research.documents.claims import Claims, at_least, at_most, elsewhere, within
 from research.documents.drawing import draw_lines, frame, plan
 from research.documents.interface import DocumentFigure, Experiment
 from research.documents.measures import (
@@ -46,6 +46,8 @@ from research.documents.nieto_scan_slam import (
 
 LANDMARKS = 6
 """That the thesis' run incorporated."""
+NOT_AS_ACCURATE = 1.0, 3.0
+"""Of a distance from GPS over feature SLAM's: farther off, it is no estimate of the same path."""
 _JOINED = "with joined segments (ours)"
 
 
@@ -142,7 +144,7 @@ def _claims_5_10(found: CarParkScans) -> Claims:
         "the results are not as accurate as those of feature-based SLAM (median distance from "
         "GPS over that of feature SLAM)"
     )
-    yield at_least(text, thesis / feature, 1.0, why=why)
+    yield within(text, thesis / feature, NOT_AS_ACCURATE, why=why, own=True)
     text = f"so they are not {_JOINED} (the same)"
     yield at_least(text, ours / feature, 1.0, why=why)
     text = (

@@ -22,7 +22,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import correlation_coefficients
 from ekf_reference.dense.triangles import contains, is_degenerate, to_local
-from research.documents.claims import Claims, at_least, at_most, theirs
+from research.documents.claims import Claims, at_least, at_most, elsewhere
 from research.documents.decorrelation import (
     Correlations,
     Displacements,
@@ -124,16 +124,16 @@ def _claims_3_5(found: Examples) -> Claims:
         f"once the loop is closed the point is known well in the world, too (sigma {known[1]:.2f} "
         f"m instead of {known[0]:.2f})"
     )
-    why = theirs(f"until the loop closes it is {until(with_base).min():.2f}; {closed}")
+    why = elsewhere(f"until the loop closes it is {until(with_base).min():.2f}; {closed}")
     text = "the point's correlation with its region's landmarks is high (least)"
     yield at_least(text, min(w.min() for w in with_base), 0.9, why=why, own=True)
-    why = theirs(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}")
+    why = elsewhere(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}")
     text = "with a distant landmark it is almost one in the world (least until the loop closes)"
     yield at_least(text, until(world).min(), 0.95, why=why, own=True)
-    why = theirs(f"until the loop closes it is {until(local).max():.2f}; {closed}")
+    why = elsewhere(f"until the loop closes it is {until(local).max():.2f}; {closed}")
     text = "and almost zero in the region (largest)"
     yield at_most(text, max(c.max() for c in local), 0.1, why=why, own=True)
-    why = theirs(f"until the loop closes it is {until(ratio).max():.2f}; {closed}")
+    why = elsewhere(f"until the loop closes it is {until(ratio).max():.2f}; {closed}")
     text = "its deviation is much smaller in the region than in the world (largest ratio)"
     yield at_most(text, max(r.max() for r in ratio), 0.2, why=why, own=True)
 
@@ -145,13 +145,13 @@ def _claims_3_12(found: Examples) -> Claims:
         float(np.ptp(e.moved.local_m[e.time_s >= closing + _SETTLING_S]))
         for e, closing in zip(found.each, found.closing_s, strict=True)
     ]
-    why = theirs(
+    why = elsewhere(
         "the thesis shows one drive; how far a closing moves a map is luck: here "
         f"{world.min():.2f} to {world.max():.2f} m"
     )
     text = "in the world the point moves by more than half a metre (median of drives)"
     yield at_least(text, np.median(world), 0.5, "m", why=why)
-    why = theirs(
+    why = elsewhere(
         f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
         f"in the median {np.median(local):.2f} m"
     )
@@ -159,7 +159,7 @@ def _claims_3_12(found: Examples) -> Claims:
     yield at_most(text, local.max(), 0.1, "m", why=why)
     text = "which is a fifth of its motion in the world (median ratio)"
     yield at_most(text, np.median(local / world), 0.2)
-    why = theirs(
+    why = elsewhere(
         "the thesis shows one drive; so it does in "
         f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
     )
