@@ -204,7 +204,7 @@ _GPS = (
     "Absolute positions (GPS). on: fuse all; half: fuse those of every second block of at "
     "least 60 s and hold the others out as a reference"
 )
-_GPS_HELP = "GPS: off, on, or half (hold out every second minute). [off]"
+_GPS_HELP = "GPS: off, on, half (every second minute held out). [off]"
 
 
 class EkfConfig(SettingsGroup):

@@ -262,6 +262,9 @@ def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> A
         prior: (3, 3) of the first pose, additive in the world's frame.
         poses: (K, 3) of `dead_reckoned`.
         covariance: (K-1, 3, 3) of the increments' right perturbations, in the frame of arrival.
+
+    Returns:
+        They are additive in the world's frame, as those of estimates.
     """
     cos, sin = np.cos(poses[1:, 2]), np.sin(poses[1:, 2])
     into_world = np.zeros_like(covariance)

@@ -165,21 +165,28 @@ def fused_positions(log: Log, choices: EkfConfig) -> Positions | None:
 
 
 def held_out_positions(log: Log, choices: EkfConfig) -> Positions | None:
-    """The positions that accuracy is measured against: none that was given to the estimators."""
+    """The positions that accuracy is measured against: none that was given to the estimators.
+
+    Within the log's time, as those are.
+    """
     if log.positions is None:
         return None
-    count = len(log.positions.time_s)
-    return _rows(log.positions, np.setdiff1d(np.arange(count), _fused(log, choices)))
+    return _rows(log.positions, np.setdiff1d(_inside(log, log.positions), _fused(log, choices)))
+
+
+def _inside(log: Log, positions: Positions) -> NDArray[np.intp]:
+    """Positions within the log's time."""
+    time = positions.time_s
+    return np.flatnonzero((time >= log.prior.time_s) & (time <= log.end_s))
 
 
 def _fused(log: Log, choices: EkfConfig) -> NDArray[np.intp]:
     if log.positions is None or choices.gps == "off":
         return np.zeros(0, dtype=np.intp)
-    time = log.positions.time_s
-    inside = np.flatnonzero((time >= log.prior.time_s) & (time <= log.end_s))
+    inside = _inside(log, log.positions)
     if choices.gps != "half" or not len(inside):
         return inside
-    fused: NDArray[np.intp] = inside[hold_out_blocks(time)[inside] % 2 == 0]
+    fused: NDArray[np.intp] = inside[hold_out_blocks(log.positions.time_s)[inside] % 2 == 0]
     return fused
 
 

@@ -9,7 +9,7 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--filter', panel='Estimators', help='EKF variant: full, compressed, compressed-suboptimal, misono (direction cosines) or misono-full. [full]', jobs=('run', 'map'), field='ekf.filter', words=('full', 'compressed', 'compressed-suboptimal', 'misono', 'misono-full')),
     Flag(option='--association', panel='Estimators', help='Association: known (labels), nn (nearest neighbour), jcbb (joint compatibility), euclidean, consensus (of hypotheses). [known, else nn]', jobs=('run', 'map'), field='ekf.association', words=('known', 'nn', 'jcbb', 'euclidean', 'consensus')),
     Flag(option='--attributes', jobs=('run',), field='ekf.attributes', words=('off', 'on')),
-    Flag(option='--gps', panel='Estimators', help='GPS: off, on, or half (hold out every second minute). [off]', jobs=('run', 'map'), field='ekf.gps', words=('off', 'on', 'half')),
+    Flag(option='--gps', panel='Estimators', help='GPS: off, on, half (every second minute held out). [off]', jobs=('run', 'map'), field='ekf.gps', words=('off', 'on', 'half')),
     Flag(option='--features', jobs=('run', 'solve', 'check', 'map'), field='log.features', words=('log', 'trees')),
     Flag(option='--landmarks', panel='Scans and dense maps', help='Landmarks: points, scans (Scan-SLAM), or both. [points]', jobs=('run', 'map'), settings={'points': None, 'scans': {'landmarks': 'scans'}, 'both': {'landmarks': 'both'}}, field='extensions.scan_landmarks', words=('points', 'scans', 'both')),
     Flag(option='--template-extraction', jobs=('run', 'map'), within='--landmarks scans or both', field='extensions.scan_landmarks.template_extraction', words=('whole-scan', 'per-segment')),
@@ -44,7 +44,7 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--figures', jobs=('run',), field='report.figures', words=('png', 'pdf'), many=True),
     Flag(option='--trace', jobs=('run',), field='report.trace', kind=bool),
     Flag(option='--association', panel='Estimators', help='Association: known (labels) or own (found by the smoother). [known, else own]', jobs=('solve', 'check'), field='association', words=('known', 'own')),
-    Flag(option='--gps', panel='Estimators', help='GPS: off, on, or half (hold out every second minute). [off]', jobs=('solve', 'check'), field='gps', words=('off', 'on', 'half')),
+    Flag(option='--gps', panel='Estimators', help='GPS: off, on, half (every second minute held out). [off]', jobs=('solve', 'check'), field='gps', words=('off', 'on', 'half')),
     Flag(option='--estimate', panel='Estimate', help='Trajectory (TUM, KITTI, CSV) or estimate folder (docs/formats.md).', metavar='PATH', jobs=('check',), field='estimate'),
     Flag(option='--times', panel='Estimate', help='Time stamps of a KITTI trajectory. [times.txt beside it]', metavar='FILE', jobs=('check',), field='times'),
     Flag(option='--trace', panel='Estimate', help="What the filter did, recorded. [filter.trace in the estimate's folder]", metavar='FILE', jobs=('check',), field='trace'),
@@ -54,7 +54,7 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--guess', panel='Scan front end', help='Initial guess of scan matching: wheels (wheel odometry) or none. [wheels]', jobs=('odometry',), field='front_end.guess', words=('wheels', 'none')),
     Flag(option='--loop-closure', panel='Scan front end', help='Detect loop closures and add them to the pose graph. [on]', jobs=('odometry',), off=True, field='front_end.loop_closure', kind=bool),
     Flag(option='--matcher', panel='Scan front end', help='Scan matcher of loop closure: surface, kiss, point-to-point, point-to-plane or generalised. [surface]', jobs=('odometry',), where=Where(field='front_end.loop_closure', value=True, words='--loop-closure'), field='front_end.matcher', words=('surface', 'kiss', 'point-to-point', 'point-to-plane', 'generalised')),
-    Flag(option='--gps', panel='Scan front end', help='GPS: off, on, or half (hold out every second minute). [off]', jobs=('odometry',), field='front_end.gps', words=('off', 'on', 'half')),
+    Flag(option='--gps', panel='Scan front end', help='GPS: off, on, half (every second minute held out). [off]', jobs=('odometry',), field='front_end.gps', words=('off', 'on', 'half')),
 )
 
 

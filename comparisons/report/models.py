@@ -170,7 +170,7 @@ class EkfResult(Model):
     ] = 0
     updates: Annotated[int | None, Named("updates")] = None
     updates_with_passive: Annotated[int | None, Named("updates with passive landmarks")] = None
-    active_share: Annotated[Same[float] | None, Named("active share of the state", _WHOLE)] = None
+    active_share: Annotated[Same[float | None], Named("share of the state, active", _WHOLE)] = None
     global_updates: Annotated[int, Named("global updates")]
     global_update_spared: Annotated[
         Same[float],

@@ -68,7 +68,12 @@ class LocalWork:
     active_share: float = 0.0
 
     def add(self, active: int, passive: int) -> None:
-        """Count an update with so many states each."""
+        """Count an update.
+
+        Args:
+            active: States in the local area.
+            passive: All others.
+        """
         self.updates += 1
         self.compressed += passive > 0
         self.active_share += active / (active + passive)
