@@ -271,7 +271,8 @@ def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> A
     into_world[:, :2, :2] = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
     into_world[:, 2, 2] = 1.0
     step = np.concatenate((prior[None], into_world @ covariance @ into_world.mT))
-    back, there = _about(-poses[:, :2]), _about(poses[:, :2])
+    place = poses[:, :2] - poses[0, :2]
+    back, there = _about(-place), _about(place)
     summed = np.cumsum(back @ step @ back.mT, axis=0)
     found: Array = there @ summed @ there.mT
     return found

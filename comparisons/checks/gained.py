@@ -65,11 +65,11 @@ class CheckGain(Check):
         spread = dead_reckoned_covariance(
             problem.prior_covariance, path, problem.increment_covariance
         )
-        sigma_m = _sigma_m(spread)
-        if not np.isfinite(sigma_m).all() or not (sigma_m[1:] > 0.0).any():
+        variance = _variance(spread)
+        if not np.isfinite(variance).all() or not (variance[1:] > 0.0).any():
             return Absent("the odometry does not lead from the first pose to the last")
         each = {
-            name: Gain(_left(one, sigma_m), rms((one.pose - path)[:, :2]))
+            name: Gain(_left(one, variance), rms((one.pose - path)[:, :2]))
             for name, one in known.estimates.items()
             if _is_at(one, known.smoothed)
         }
@@ -90,16 +90,18 @@ def _is_at(estimate: Estimate, smoothed: Estimate) -> bool:
         len(estimate.time_s) == len(smoothed.time_s)
         and np.allclose(estimate.time_s, smoothed.time_s, rtol=0.0, atol=1e-6)
         and np.isfinite(estimate.pose_covariance).all()
+        and (_variance(estimate.pose_covariance) >= 0.0).all()
     )
 
 
-def _left(estimate: Estimate, sigma_m: Array) -> float:
-    some = sigma_m > 0.0
+def _left(estimate: Estimate, variance: Array) -> float:
+    some = variance > 0.0
     some[0] = False  # the prior is the same for all
-    return float(np.median(_sigma_m(estimate.pose_covariance)[some] / sigma_m[some]))
+    left = _variance(estimate.pose_covariance)[some] / variance[some]
+    return float(np.median(np.sqrt(left)))
 
 
-def _sigma_m(covariance: Array) -> Array:
-    """(K,) of positions, both axes together."""
-    found: Array = np.sqrt(np.trace(covariance[:, :2, :2], axis1=1, axis2=2))
+def _variance(covariance: Array) -> Array:
+    """(K,) of positions, both axes together [m^2]."""
+    found: Array = np.trace(covariance[:, :2, :2], axis1=1, axis2=2)
     return found
