@@ -266,10 +266,8 @@ def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> A
     Returns:
         They are additive in the world's frame, as those of estimates.
     """
-    cos, sin = np.cos(poses[1:, 2]), np.sin(poses[1:, 2])
-    into_world = np.zeros_like(covariance)
-    into_world[:, :2, :2] = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
-    into_world[:, 2, 2] = 1.0
+    nothing = np.zeros(len(covariance))
+    into_world = _inverse_adjoint(nothing, nothing, -poses[1:, 2])
     step = np.concatenate((prior[None], into_world @ covariance @ into_world.mT))
     place = poses[:, :2] - poses[0, :2]
     back, there = _about(-place), _about(place)
@@ -280,9 +278,7 @@ def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> A
 
 def _about(place: Array) -> Array:
     """T(p) (K, 3, 3) of places (K, 2)."""
-    turn = np.tile(np.eye(3), (len(place), 1, 1))
-    turn[:, 0, 2], turn[:, 1, 2] = -place[:, 1], place[:, 0]
-    return turn
+    return _inverse_adjoint(place[:, 0], place[:, 1], np.zeros(len(place)))
 
 
 def _dead_reckoning(displacement: Array) -> tuple[Array, Array, Array]:

@@ -31,17 +31,14 @@ from scipy.spatial import cKDTree
 
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.logs.simulate.drive import Drive
 from comparisons.logs.simulate.drive import simulate as simulated
 from comparisons.logs.simulate.worlds import LandmarkWorld
+from research.fields import SPACING_M, field_drive
 
 Array = NDArray[np.float64]
 
-SPACING_M = 12.0
-"""Mean distance of neighbouring landmarks: 5 to 20 of them are in view."""
 LANE_M = 40.0
 """Distance of neighbouring lanes of the loop through the field."""
-RANGE_M = 30.0
 BEND_M = 15.0
 """Length over which the path is smoothed at a corner."""
 CLEAR_M = 3.0
@@ -100,16 +97,7 @@ def _rounded(corners: Array) -> Array:
 
 def simulate(poses: int, landmarks: int, seed: int = 0) -> Log:
     """A drive of so many poses (one a scan, five a second, 0.4 m apart) through a field."""
-    drive = Drive(
-        speed_mps=2.0,
-        sample_s=0.1,
-        scan_every=2,
-        loop_s=0.2 * poses,
-        max_range_m=RANGE_M,
-        sigma_speed_mps=0.1,
-        sigma_steering_rad=math.radians(1.0),
-    )
-    log = simulated(np.random.default_rng(seed), drive, field(landmarks))
+    log = simulated(np.random.default_rng(seed), field_drive(poses), field(landmarks))
     provenance = {"source": "research/scale.py"}
     return replace(log, name=f"scale-{poses}x{landmarks}", provenance=provenance)
 

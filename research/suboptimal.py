@@ -79,7 +79,9 @@ def driven(log: Log, gain: float) -> Driven:
     saved = run.compression
     assert saved is not None
     variance = np.trace(run.estimate.landmark_covariances(), axis1=1, axis2=2)
-    return Driven(np.sqrt(variance), saved.global_updates, saved.spared, sum(spent), filter_s)
+    return Driven(
+        np.sqrt(variance), saved.global_updates, saved.global_update_spared, sum(spent), filter_s
+    )
 
 
 def over_gains(log: Log, gains: Sequence[float]) -> None:

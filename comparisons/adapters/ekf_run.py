@@ -46,16 +46,18 @@ UNUSED = {
 class Compression(NamedTuple):
     """What a compressed filter has saved (Guivant 2002, section 4).
 
-    updates: of measurements. compressed: those that left some landmarks passive. active_share: of
-    all states, mean over the updates. global_updates: that carried something over. spared: mean
-    share of the passive covariance that these left alone.
+    The fields are those of the result, EkfResult.
+
+    updates: of measurements. updates_with_passive: those that left some landmarks passive.
+    active_share: of all states, mean over the updates. global_updates: that carried something over.
+    global_update_spared: mean share of the passive covariance that these left alone.
     """
 
     updates: int
-    compressed: int
+    updates_with_passive: int
     active_share: float
     global_updates: int
-    spared: float
+    global_update_spared: float
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -305,10 +307,10 @@ def _compression(ekf: Ekf) -> Compression | None:
     work = ekf.state.work
     return Compression(
         updates=work.updates,
-        compressed=work.compressed,
+        updates_with_passive=work.compressed,
         active_share=work.active_share / work.updates if work.updates else 1.0,
         global_updates=len(saved),
-        spared=float(np.mean(saved)) if saved else 0.0,
+        global_update_spared=float(np.mean(saved)) if saved else 0.0,
     )
 
 

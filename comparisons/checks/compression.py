@@ -33,7 +33,7 @@ class CheckCompression(Check):
         except LackingError:  # of a filter that is not run here nothing is asked
             found = None
         remarks = []
-        if found is not None and not found.compressed:
+        if found is not None and not found.updates_with_passive:
             remarks.append(
                 f"the compressed filter is the full filter here: in none of its {found.updates:,} "
                 "updates was a landmark passive, as a local area holds most of the map"

@@ -32,7 +32,11 @@ def load_log(section: LogSection) -> Log:
     choices = SimulationChoices(section.seed, section.loops, section.noise_scale)
     topics = tuple(section.topics or ())
     source = str(recorded_path(section.source))
-    log = open_log(source, section.format, section.robot, choices, topics)
+    return as_asked(open_log(source, section.format, section.robot, choices, topics), section)
+
+
+def as_asked(log: Log, section: LogSection) -> Log:
+    """Return a log with what a configuration asks of it: time, features, sigmas, start."""
     if section.start_s is not None or section.end_s is not None:
         from comparisons.adapters.time_window import cut_log
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from comparisons.adapters.ekf_run import Compression, EkfRun
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.qualifiers import TruthGapFinding, against_optimum
 from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.config import EkfConfig, JobConfig
@@ -108,6 +108,9 @@ def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = Non
             "longest_streak": fixes.longest,
             "fixes_rejected_by_smoother": fixes.unfit_count,
         }
+    compression: dict[str, Any] = {"global_updates": 0, "global_update_spared": 0.0}
+    if run.compression is not None:
+        compression = run.compression._asdict()
     return EkfResult(
         filter=config.filter,
         association=str(config.association),
@@ -120,20 +123,8 @@ def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = Non
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,
         **streaks,
-        **_compression(run.compression),
+        **compression,
     )
-
-
-def _compression(found: Compression | None) -> dict[str, Any]:
-    if found is None:
-        return {"global_updates": 0, "global_update_spared": 0.0}
-    return {
-        "updates": found.updates,
-        "updates_with_passive": found.compressed,
-        "active_share": found.active_share,
-        "global_updates": found.global_updates,
-        "global_update_spared": found.spared,
-    }
 
 
 def smoother_result(result: smoother.SmootherEvidence, estimate: Estimate) -> SmootherResult:

@@ -28,6 +28,7 @@ from comparisons.jobs.run import compare
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.pipeline.read import as_asked
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.core.ekf import Ekf
@@ -119,9 +120,7 @@ def as_published(log: Log, filter_name: str) -> tuple[Log, EkfConfig]:
         log={"source": log.name, "format": log.format},
         ekf={"filter": filter_name, "gps": "on"},
     )
-    sigma_m = config.log.sigma_position_m
-    if sigma_m is not None and log.positions is not None:
-        log = replace(log, positions=log.positions.with_sigma(sigma_m))
+    log = as_asked(log, config.log)
     return log, settle(config.ekf, log)
 
 

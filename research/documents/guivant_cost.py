@@ -20,9 +20,10 @@ from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
+from comparisons.audit.replay import apart
 from comparisons.config import EkfConfig
 from comparisons.logs.log import LandmarkMeasurements, Log
-from comparisons.logs.simulate.drive import Drive, point_measurements, simulate
+from comparisons.logs.simulate.drive import point_measurements, simulate
 from comparisons.logs.simulate.worlds import LandmarkWorld
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 from ekf_reference.core.ekf import Ekf
@@ -31,13 +32,14 @@ from ekf_reference.filters.compressed import CompressedEkf
 from research.documents.claims import Claims, at_least, at_most
 from research.documents.drawing import chart
 from research.documents.interface import DocumentFigure, Experiment, Sources
+from research.fields import SPACING_M, field_drive
 
 SIZES = (200, 500, 1000, 2000, 4000)
 """Landmarks in the map."""
 MOST_FULL = 2000
 """Larger maps are left to the compressed filter."""
-SPACING_M, RADIUS_M, RANGE_M, SPEED_MPS = 12.0, 10.0, 30.0, 2.0
-"""Of neighbouring landmarks; of the circle that is driven, inside one local area; of the sensor."""
+RADIUS_M = 10.0
+"""Of the circle that is driven, inside one local area."""
 START_SIGMA = np.array((1.0, 1.0, 0.05))
 """Of the first pose [m, m, rad], which all landmarks have in common: none is independent."""
 _COLUMNS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "landmark")
@@ -99,15 +101,7 @@ def field_log(landmarks: int) -> Log:
     places = SPACING_M * (grid[nearest] + rng.uniform(-0.3, 0.3, (landmarks, 2)))
     angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
     path = RADIUS_M * np.column_stack((np.cos(angle), np.sin(angle)))
-    drive = Drive(
-        speed_mps=SPEED_MPS,
-        sample_s=0.1,
-        scan_every=2,
-        loop_s=0.2 * STEPS,
-        max_range_m=RANGE_M,
-        sigma_speed_mps=0.1,
-        sigma_steering_rad=math.radians(1.0),
-    )
+    drive = field_drive(STEPS)
     log = simulate(rng, drive, LandmarkWorld(path, places))
     assert log.truth.poses is not None
     all_round = replace(drive, max_range_m=math.inf, field_of_view_rad=2.0 * math.pi)
@@ -164,8 +158,7 @@ def gap(whole: Ekf, local: Ekf) -> float:
     """The largest difference of two filters' means and covariances, in sigmas of the first."""
     sigma = np.sqrt(whole.state.covariance.diagonal())
     off: Array = np.abs(whole.state.mean - local.state.mean) / sigma
-    apart = np.abs(whole.state.covariance - local.state.covariance) / np.outer(sigma, sigma)
-    return float(max(off.max(), apart.max()))
+    return float(max(off.max(), apart(local.state.covariance, whole.state.covariance).max()))
 
 
 def _claims(found: Costs) -> Claims:

@@ -74,7 +74,7 @@ def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
     if c.prepared.ekf.conservative:  # not exact, and never too sure
         assert a.sigma < 1e-6 < a.covariance < 0.01
         assert a.least > 1.0 - 1e-6
-        assert present(c.ekf.compression).spared > 0.05
+        assert present(c.ekf.compression).global_update_spared > 0.05
     else:
         assert a.within(1e-6)
     if name == "misono":  # as published, it knows only part of its Jacobian

@@ -16,7 +16,7 @@ def test_a_map_within_one_area_is_said_to_be_the_full_filter() -> None:
     said = c.findings["compression"]
     assert isinstance(said, CompressionFinding)
     assert said.value is not None
-    assert (said.value.compressed, said.value.active_share) == (0, 1.0)
+    assert (said.value.updates_with_passive, said.value.active_share) == (0, 1.0)
     assert any(remark.startswith(FULL) for remark in c.verdict.remarks)
 
 
@@ -35,7 +35,7 @@ def test_a_map_beyond_the_area_leaves_landmarks_passive() -> None:
     c = compare(open_log("victoria-park"), RunConfig(ekf=EkfConfig(filter="compressed")))
     said = c.known.ekf.compression
     assert said is not None
-    assert said.updates > said.compressed > 0.5 * said.updates
+    assert said.updates > said.updates_with_passive > 0.5 * said.updates
     assert 0.3 < said.active_share < 0.8
-    assert RunReport.build(c).ekf.updates_with_passive == said.compressed
+    assert RunReport.build(c).ekf.updates_with_passive == said.updates_with_passive
     assert not any(FULL in remark for remark in c.verdict.remarks)
