@@ -258,6 +258,15 @@ class EkfConfig(SettingsGroup):
         ge=0.0,
         lt=1.0,
     )
+    stretch_sigma_m: float | None = setting(
+        None,
+        "Sigma of absolute positions per axis in metres within stretches of at least 5 s in which, "
+        "by a first run with all, they keep one distance from SLAM to this sigma, of at most 3 "
+        "such sigmas; the others are left out. Default: all are fused, with the log's sigmas",
+        gt=0.0,
+        le=1e6,
+        allow_inf_nan=False,
+    )
     gps_recovery: int | None = setting(
         None,
         "Number of successive rejected absolute positions with the same offset from "

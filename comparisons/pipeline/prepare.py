@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from comparisons.adapters.ekf_factory import settle
@@ -62,7 +63,21 @@ def prepare(
     _check_streams(prepared, required or Required())
     for extension in prepared.extensions:
         prepared = extension.prepare(prepared)
-    return prepared
+    return prepared if prepared.ekf.stretch_sigma_m is None else _with_stretches(prepared)
+
+
+def _with_stretches(prepared: Prepared[C]) -> Prepared[C]:
+    """Leave only those positions to be fused that are good by a first run with all."""
+    if prepared.positions is None or not len(prepared.positions.time_s):
+        return prepared
+    from comparisons.adapters.agreeing_positions import agreeing_positions
+
+    prepared.progress("stretches of good positions", 0, 0)
+    with prepared.clock.stage("stretches"):
+        stretches = agreeing_positions(
+            prepared.log, prepared.ekf, prepared.positions, prepared.beside_filter()
+        )
+    return replace(prepared, stretches=stretches)
 
 
 def check_memory(prepared: Prepared[Any]) -> None:

@@ -45,7 +45,8 @@ class Prepared(Generic[C]):
 
     log: as the estimators read it. config: the job's. ekf: the filter's settings, nothing left
     open. extensions: who takes part. epochs: (N,) instants [s] at which the filter stops besides
-    those of the log's observations.
+    those of the log's observations. stretches: the positions that are good, where the settings ask
+    for these alone.
     """
 
     log: Log
@@ -53,6 +54,7 @@ class Prepared(Generic[C]):
     ekf: EkfConfig
     extensions: tuple[Preparation, ...] = ()
     epochs: Array | None = None
+    stretches: Positions | None = None
     progress: Progress = no_progress
     clock: Clock = field(default_factory=Clock)
 
@@ -64,7 +66,17 @@ class Prepared(Generic[C]):
     @cached_property
     def positions(self) -> Positions | None:
         """The absolute positions that both estimators fuse."""
+        if self.stretches is not None:
+            return self.stretches
         return fused_positions(self.log, self.ekf)
+
+    @property
+    def outside_stretches(self) -> int | None:
+        """Positions left out, as they are in no good stretch; None where all are asked for."""
+        given = fused_positions(self.log, self.ekf)
+        if self.stretches is None or given is None:
+            return None
+        return len(given.time_s) - len(self.stretches.time_s)
 
     @cached_property
     def timeline(self) -> Timeline:

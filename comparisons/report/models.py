@@ -137,6 +137,8 @@ class EkfResult(Model):
         gps: value of `--gps`.
         fixes_fused: absolute positions that were used.
         fixes_rejected: absolute positions that the gate rejected.
+        fixes_outside_stretches: absolute positions left out, as they are in no stretch that agrees
+            with itself and with SLAM; None where the settings ask for all.
         fixes_in_streaks: rejected positions that are one of five or more in a row.
         longest_streak: most rejected positions in a row.
         fixes_rejected_by_smoother: rejected positions that the same gate also rejects at the
@@ -163,6 +165,9 @@ class EkfResult(Model):
     gps: str
     fixes_fused: Annotated[int, Named("GPS positions fused")]
     fixes_rejected: Annotated[int, Named("GPS positions rejected")]
+    fixes_outside_stretches: Annotated[
+        int | None, Named("GPS positions left out, in no stretch of good ones")
+    ] = None
     fixes_in_streaks: Annotated[int, Named("GPS positions rejected five or more in a row")] = 0
     longest_streak: Annotated[int, Named("most GPS positions rejected in a row")] = 0
     fixes_rejected_by_smoother: Annotated[

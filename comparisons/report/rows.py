@@ -48,6 +48,8 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
         names += ["global_updates", "global_update_spared"]
     if ekf.gps != "off":
         names += ["fixes_fused", "fixes_rejected"]
+        if ekf.fixes_outside_stretches is not None:
+            names.append("fixes_outside_stretches")
         if ekf.longest_streak:
             names += ["fixes_in_streaks", "longest_streak", "fixes_rejected_by_smoother"]
     return rows_of("EKF", ekf, names)

@@ -77,7 +77,7 @@ class RunReport(Report[Comparison, Result]):
         c, fixes = comparison, comparison.known.value(PositionsFinding)
         return Result(
             schema_version=SCHEMA,
-            ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
+            ekf=ekf_result(c.ekf, c.prepared, fixes),
             smoother=smoother_result(c.smoother, c.smoothed),
             agreement=replace(
                 c.agreement,

@@ -99,9 +99,11 @@ def about_log(log: LogResult) -> str:
     return f"{log.format}, {log.duration_s:,.0f} s{said}"
 
 
-def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = None) -> EkfResult:
+def ekf_result(
+    run: EkfRun, prepared: Prepared[Any], fixes: RejectedFixes | None = None
+) -> EkfResult:
     """The filter and what it used. fixes: what its gate rejected, where a smoother judged it."""
-    streaks = {}
+    config, streaks = prepared.ekf, {}
     if fixes is not None:
         streaks = {
             "fixes_in_streaks": fixes.in_streaks,
@@ -122,6 +124,7 @@ def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = Non
         gps=config.gps,
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,
+        fixes_outside_stretches=prepared.outside_stretches,
         **streaks,
         **compression,
     )

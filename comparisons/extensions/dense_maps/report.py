@@ -159,7 +159,7 @@ class MapReport(Report[DenseMapping, MapResult]):
         m = mapping
         returns = _returns(m.dense.dense)
         return MapResult(
-            ekf=ekf_result(m.ekf, m.prepared.ekf),
+            ekf=ekf_result(m.ekf, m.prepared),
             scan_landmarks=len(m.ekf.estimate.pose_landmarks),
             regions=len(m.placed.triangle),
             first_condition=FirstCondition.of(m.dense),
