@@ -16,6 +16,7 @@ from comparisons.adapters.smoother_input import build_problem, position_rows, ru
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
+from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
 from comparisons.plane import turned
 from graphslam.smoother import SmootherOptions
@@ -45,9 +46,12 @@ def agreeing_positions(
         beside: what stands beside the filter in the first run.
 
     Raises:
-        InputError: for options that the log cannot serve.
+        InputError: where no stretch is good.
+        ValueError: without `stretch_sigma_m`.
     """
-    assert choices.stretch_sigma_m is not None
+    sigma_m = choices.stretch_sigma_m
+    if sigma_m is None:
+        raise ValueError("stretch_sigma_m is None, expected the sigma of a good position")
     first = settle(choices.model_copy(update={"stretch_sigma_m": None, "position_gate": None}), log)
     timeline = build_timeline(log, given)
     run = run_ekf(log, timeline, first, given, beside)
@@ -56,8 +60,15 @@ def agreeing_positions(
     poses = smoothed.poses[rows.epoch]
     antenna = poses[:, :2] + turned(np.array(rows.antenna_m), poses[:, 2])
     offset = rows.position - antenna
-    kept = in_stretches(given.time_s[: len(offset)], offset, choices.stretch_sigma_m)
-    return given.chosen(np.flatnonzero(kept)).with_sigma(choices.stretch_sigma_m)
+    kept = in_stretches(given.time_s[: len(offset)], offset, sigma_m)
+    if not kept.any():
+        raise InputError(
+            f"{log.name}: no {STRETCH_S:g} s in which its {len(kept):,} positions keep one "
+            f"distance from SLAM, to {sigma_m:g} m, of at most {MOST_OFFSET * sigma_m:g} m, "
+            "expected some for ekf.stretch_sigma_m; a larger one takes more, without one all are "
+            "fused"
+        )
+    return given.chosen(np.flatnonzero(kept)).with_sigma(sigma_m)
 
 
 def in_stretches(time_s: Array, offset_m: Array, sigma_m: float) -> NDArray[np.bool_]:

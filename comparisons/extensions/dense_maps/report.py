@@ -157,7 +157,7 @@ class MapReport(Report[DenseMapping, MapResult]):
     def build(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
         """The findings, read being the time that reading the log took."""
         m = mapping
-        returns = _returns(m.dense.dense)
+        returns = returns_result(m.dense.dense)
         return MapResult(
             ekf=ekf_result(m.ekf, m.prepared),
             scan_landmarks=len(m.ekf.estimate.pose_landmarks),
@@ -314,7 +314,8 @@ def regions_csv(mapping: DenseMapping) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _returns(dense: DenseMap) -> ReturnsResult:
+def returns_result(dense: DenseMap) -> ReturnsResult:
+    """Return what has become of a scanner's returns in a map."""
     waiting = lost = 0
     if dense.waiting is not None:
         waiting = len(dense.waiting.points.scan)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.report.picture import blank
+from ekf_reference.dense.dense_map import ReturnTally
 from research.documents.claims import Claim, at_least, at_most, ours, within
 from research.documents.guivant import MRCLAM
 from research.documents.interface import DATA_FOLDERS, AnyFigure
@@ -100,7 +101,7 @@ def as_the_thesis_says(e: Any) -> Any:
 def never_local(sound: Any) -> Any:
     e = as_the_thesis_says(sound)
     c = e.correlations
-    wrong = c._replace(local=c.world, sigma_local_m=c.sigma_world_m)
+    wrong = c._replace(local=c.world, sigma_local_m=1.1 * c.sigma_world_m)
     moved = e.moved._replace(local_m=e.moved.world_m + e.time_s - e.time_s[0])
     return replace(e, correlations=wrong, moved=moved)
 
@@ -117,9 +118,9 @@ def unmoved(sound: Any) -> Any:
 
 
 def exchanged(found: Any) -> Any:
-    """SLAM drifts, dead reckoning does not."""
+    """SLAM drifts, dead reckoning becomes better."""
     wrong = {**found.estimates, "misono": found.estimates["dead reckoning"]}
-    wrong["dead reckoning"] = found.true + 0.1
+    wrong["dead reckoning"] = found.true + np.linspace(0.2, 0.1, len(found.true))[:, None]
     return replace(found, estimates=wrong)
 
 
@@ -145,7 +146,7 @@ def deaf(a: Any) -> Any:
 
 def never_compressed(costs: Any) -> Any:
     """The local step costs what the full one does, and what it learns is lost."""
-    slow = tuple(replace(one, step_ms=1e-3 * one.landmarks**2) for one in costs.compressed)
+    slow = tuple(replace(one, step_ms=1.0 * one.landmarks**2) for one in costs.compressed)
     full = tuple(replace(one, step_ms=1e-3 * one.landmarks**2) for one in costs.full)
     return replace(costs, full=full, compressed=slow, gap=1.0)
 
@@ -193,7 +194,7 @@ def astray(d: Any) -> Any:
         return replace(m, place=place, covariance=small, points=points)
 
     before, after = off(d.before, 2.0), off(d.after, 9.0)
-    return replace(d, before=before, after=after, ate_m=d.wheels_m, again=0)
+    return replace(d, before=before, after=after, ate_m=1.1 * d.wheels_m, again=0)
 
 
 def by_the_thesis(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -233,6 +234,14 @@ def worse_in_parts(log: Any) -> Any:
 def beside(found: Any) -> Any:
     """The laser image is of another place."""
     return replace(found, image=found.image + 40.0)
+
+
+def without_regions(found: Any) -> Any:
+    """No three landmarks meet the conditions of a region, so no return is in the map."""
+    nothing = ReturnTally(returns=1000, outside=1000)
+    found = altered(found, "literal.dense.dense.tally", nothing)
+    bases = np.abs(found.fine.dense.dense.regions.base)
+    return altered(found, "fine.dense.dense.regions.base", bases)
 
 
 def known_before(found: Any) -> Any:
@@ -288,7 +297,6 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("G4.1", never_compressed, {0, 1, 4}),
     ("G4.1", each_alike, {2, 3}),
     ("G7", lambda c: replace(c, heard=~c.heard), {0}),
-    ("G7", lambda c: replace(c, heard=np.arange(len(c.heard)) != 150), {1}),
     ("G8", deaf, {0, 1, 3}),
     ("G8", jumpy, {2}),
     ("G9", deaf, {0, 1}),
@@ -305,16 +313,17 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N3.12", each(never_local), {1, 2, 3}),
     ("N3.12", each(unmoved), {0}),
     ("N3.22", beside, {0, 1}),
-    ("N4.14", known_before, {1, 2}),
-    ("N4.14", layers_apart, {3}),
-    ("N4.3", worse, {0, 1, 2}),
+    ("N3.22", without_regions, {2, 3}),
+    ("N4.14", known_before, {1}),
+    ("N4.14", layers_apart, {2}),
+    ("N4.3", worse, {0, 1, 2, 3}),
     ("N4.16", worse, {0, 1}),
-    ("N5.8", each(astray), {0, 1, 2, 3, 4, 5}),
-    ("N5.8", by_the_thesis(astray), {6, 7, 8, 9}),
-    ("N5.8", by_the_thesis(lambda d: replace(d, end_m=30.0)), {7}),
+    ("N5.8", each(astray), {0, 1, 2, 3, 4}),
+    ("N5.8", by_the_thesis(astray), {5, 6, 7, 8}),
+    ("N5.8", by_the_thesis(lambda d: replace(d, end_m=30.0)), {6}),
     ("N5.10", scans_exact, {0, 1, 2, 3}),
     ("N6.5", each(nothing_found), {0, 1, 2, 3, 4}),
-    ("N6.7", each(far_off), {0, 1, 2}),
+    ("N6.7", each(far_off), {0, 1}),
     ("N6.19", each(lambda d: replace(d, dynamic=np.vstack((d.dynamic, CORNERS[:1])))), {1, 2}),
     ("N6.19", each(lambda d: replace(d, dynamic=d.dynamic[-1:])), {0, 1}),
     ("N6.20", each(lambda d: replace(d, removed=np.zeros(3, dtype=bool))), {0, 1}),
@@ -343,10 +352,10 @@ def test_every_figure_has_a_broken_variant() -> None:
 
 
 CLAIMS_OF_SOUND_DATA = {
-    2: "G7",
+    1: "G7",
     3: "N2.13 N6.19 N6.20",
     4: "G8 G9",
-    10: "N5.8",
+    9: "N5.8",
     12: "G4.2",
 }
 """Figures by how many claims they make, all of which hold."""
@@ -377,7 +386,7 @@ def test_sound_data_are_let_through(name: str) -> None:
 def test_claims_of_dense_maps_are_made_by_the_thesis_settings_too(name: str) -> None:
     """Exchanged data exchange the numbers, so each claim is of what it says."""
     figure = BY_NAME[name]
-    ours = replace(data(figure.experiment.name), literal=None)
+    ours = replace(data(figure.experiment.name), literal=None, short=None)
     literal = data(figure.experiment.name).literal or broken(name, ours)
     each = [
         figure.judged(replace(first, literal=second))
