@@ -130,14 +130,9 @@ def as_published(log: Log, filter_name: str) -> Prepared[RunConfig]:
 def aid(log: Log, filter_name: str = "full") -> Aided:
     """Withhold a log's positions for ALONE_S, then watch for AFTER_S from the first."""
     prepared = as_published(log, filter_name)
-    log, choices, given = prepared.log, prepared.ekf, prepared.positions
-    late = (
-        () if given is None else given.time_s[given.time_s >= log.prior.time_s + ALONE_S - _CLOCK_S]
-    )
-    if given is None or not len(late):
-        raise InputError(f"{log.name}: holds no positions after {ALONE_S:.0f} s")
-    until_s = late[0] + AFTER_S
-    positions = given.chosen((given.time_s >= late[0]) & (given.time_s <= until_s))
+    log, choices = prepared.log, prepared.ekf
+    positions = _late(log, prepared.positions)
+    until_s = float(positions.time_s[0]) + AFTER_S
     time, pose, sigma, maps, parts, first = [], [], [], [], np.empty((0, 2)), -1
     trace = RecordedTrace()
     for time_s, ekf, fused in _epochs(log, choices, positions, until_s, trace):
@@ -174,6 +169,15 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
         parts=parts,
         true=None if log.truth.poses is None else log.truth.poses.at(at)[:, :2],
     )
+
+
+def _late(log: Log, given: Positions | None) -> Positions:
+    """The first positions after ALONE_S, and those of AFTER_S more."""
+    start_s = log.prior.time_s + ALONE_S - _CLOCK_S
+    if given is None or not (given.time_s >= start_s).any():
+        raise InputError(f"{log.name}: holds no positions after {ALONE_S:.0f} s")
+    first_s = given.time_s[given.time_s >= start_s][0]
+    return given.chosen((given.time_s >= first_s) & (given.time_s <= first_s + AFTER_S))
 
 
 def _sigma_m(ekf: Ekf) -> float:

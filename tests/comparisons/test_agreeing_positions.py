@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from comparisons.adapters.agreeing_positions import MOST_OFFSET, STRETCH_S, in_stretches
 from comparisons.arrays import Array
@@ -20,8 +21,11 @@ GOOD_S = ((10.0, 22.0), (50.0, 62.0))
 TIME_S = np.arange(0.5, 84.0, 0.5)
 
 
-def is_good(time_s: Array) -> Array:
-    return np.any([(time_s >= begin) & (time_s <= end) for begin, end in GOOD_S], axis=0)
+def is_good(time_s: Array) -> NDArray[np.bool_]:
+    good: NDArray[np.bool_] = np.zeros(len(time_s), dtype=bool)
+    for begin_s, end_s in GOOD_S:
+        good |= (time_s >= begin_s) & (time_s <= end_s)
+    return good
 
 
 def with_receiver() -> Log:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import slamcheck
-from comparisons.adapters.ekf_factory import build_ekf, fused_positions, settle
+from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.time_window import cut_log
 from comparisons.config import (
     JOBS,
@@ -69,6 +69,7 @@ BESIDE: Mapping[str, Contexts] = {
         "association": ({"association": "known"},),  # which an open one may come to
         "nn_gate": ({"association": "nn"},),
         "least_gain": ({"filter": "compressed-suboptimal"},),
+        "stretch_sigma_m": ({"gps": "on"},),
     },
     "smoother": {"lag": ({"method": "fixed-lag", "lag": 5},)},
     "dense_maps": {
@@ -221,7 +222,7 @@ def of_filter(ekf: EkfConfig) -> object:
     """The filter, and the positions that it is given."""
     settled = settle(ekf, with_positions())
     built = build_ekf(with_positions(), settled, Trace())
-    return built, fused_positions(with_positions(), settled)
+    return built, prepare(with_positions(), RunConfig(ekf=ekf)).positions
 
 
 def of_smoother(smoother: SmootherConfig) -> object:
