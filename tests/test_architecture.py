@@ -334,7 +334,7 @@ LAYERS = {
     "logs": 1, "options": 1,
     "config": 2, "documented": 2, "estimates": 2,
     "settings": 3, "adapters": 3, "audit": 3, "faults": 3,
-    "checks": 4,
+    "checks": 4, "explain": 4,
     "pipeline": 5,
     "fingerprints": 6,
     "jobs": 7,

@@ -1,6 +1,7 @@
 """The causes in `docs/verdicts.md`, written anew: `python -m tools.verdicts_page`.
 
-What a kind of cause means, what to check and what it decides come from the code. How it is found,
+What a kind of cause means, what to check, what it decides and the slots of the grammar come from
+the code. How it is found,
 examples and how often it errs are written by hand and stay.
 """
 
@@ -10,11 +11,12 @@ import re
 import textwrap
 from pathlib import Path
 
-from comparisons.report.explain import every_explanation
+from comparisons.report.explain import every_explanation, grammar_rows
 from comparisons.words import DECIDES, Explanation
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdicts.md"
 _TABLE = re.compile(r"\| kind \| .*?\n\n", re.DOTALL)
+_GRAMMAR = re.compile(r"\| slot \| .*?\n\n", re.DOTALL)
 _SECTION = re.compile(r"^## Cause: (\w+)\n\n(.*?)(?=^## )", re.DOTALL | re.MULTILINE)
 _WIDTH = 120
 
@@ -27,7 +29,14 @@ def written(page: str) -> str:
     sections += [_section(kind, one, "") for kind, one in kinds.items() if kind not in own]
     found = list(_SECTION.finditer(page))
     page = page[: found[0].start()] + "".join(sections) + page[found[-1].end() :]
+    page = _GRAMMAR.sub(lambda _: _grammar(), page, count=1)
     return _TABLE.sub(lambda _: _table(kinds), page, count=1)
+
+
+def _grammar() -> str:
+    rows = [f"| {' | '.join(map(str, row))} |" for row in grammar_rows()]
+    head = "| slot | rows | columns | faults | named by |"
+    return "\n".join((head, "|---|---|---|---|---|", *rows, "", ""))
 
 
 def _table(kinds: dict[str, Explanation]) -> str:

@@ -61,7 +61,7 @@ def together(*faults: Fault) -> Fault:
 
 
 class Family(NamedTuple):
-    """Faults that differ by a number. what: in words, with its place.
+    """Faults that differ by a number. what: in words, with its place. said: words of the number.
 
     feed: makes the log of it. plant: puts it into the filter. neutral: the number of no fault.
     factor: it multiplies, so that it is fitted as a logarithm.
@@ -72,10 +72,12 @@ class Family(NamedTuple):
     neutral: float = 1.0
     factor: bool = True
     plant: Callable[[float], Plant] | None = None
+    said: Callable[[float], str] | None = None
 
     def member(self, number: float) -> Fault:
         """The fault with a number."""
-        what, feed = self.what.format(f"{number:.4g}"), self.feed
+        what = self.what.format(f"{number:.4g}") if self.said is None else self.said(number)
+        feed = self.feed
         plant = None if self.plant is None else self.plant(number)
         return Fault(what, plant, None if feed is None else lambda log: feed(log, number))
 

@@ -14,6 +14,7 @@ from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, is_setting, own_start
 from comparisons.faults.fault import Family, Fault
+from comparisons.faults.planting import composed_faults
 from comparisons.fingerprints.companion import EXPLAINED
 from comparisons.fingerprints.estimate_motion import in_words
 from comparisons.fingerprints.fit import FaultFit
@@ -53,10 +54,21 @@ def fingerprints(
         for steps, other in _integrated(log)
         for order, by in ORDERS.items()
     ]
-    found = search.through(ordered, progress)
+    composed, numbered = composed_faults()
+    found = search.through(ordered, search.faults, progress)
+    todo: tuple[tuple[bool, Iterable[Fault | Family]], ...] = (
+        (True, composed),
+        (False, families(log)),
+        (True, numbered),
+    )
+    for exactly, some in todo:
+        if not _exact(found):
+            found += search.through(ordered, list(some), progress, exactly=exactly)
     if not _exact(found):
-        with BackgroundCall(search.through, moving, size=counts(prepared), pays_from=0) as second:
-            found += search.through(kinds, progress)
+        known: list[Fault | Family] = [*search.faults, *families(log)]
+        size = counts(prepared)
+        with BackgroundCall(search.through, moving, known, size=size, pays_from=0) as second:
+            found += search.through(kinds, known, progress)
             if not _exact(found):
                 if several:
                     progress("fingerprints together", 0, 0)
@@ -81,7 +93,8 @@ class _Search:
     sound: Likeness
 
     @property
-    def _faults(self) -> list[Fault]:
+    def faults(self) -> list[Fault]:
+        """The catalogue's, and the estimate's own start."""
         log = self.prepared.log
         return [*_start(self.given, log), *catalogue(log)]
 
@@ -89,13 +102,20 @@ class _Search:
         prepared = replace(self.prepared, log=way.log)
         return FaultTrial(self.given, prepared, self.sound, way)
 
-    def through(self, ways: Sequence[Way], progress: Progress = no_progress) -> list[Fingerprint]:
+    def through(
+        self,
+        ways: Sequence[Way],
+        todo: Sequence[Fault | Family],
+        progress: Progress = no_progress,
+        *,
+        exactly: bool = False,
+    ) -> list[Fingerprint]:
         """What each fault explains, with the way that leaves the least; an exact one is the last.
 
-        In filters of other kinds only faults of the log's numbers are tried.
+        In filters of other kinds only faults of the log's numbers are tried. exactly: those that
+        leave more than rounding explain nothing.
         """
-        found: dict[str, Fingerprint] = {}
-        todo: list[Fault | Family] = [*self._faults, *families(self.prepared.log)]
+        found: dict[int, Fingerprint] = {}
         trials = [self._trial(way) for way in ways]
         for done, fault in enumerate(todo):
             progress("fingerprints", done, len(todo))
@@ -103,9 +123,11 @@ class _Search:
                 if trial.way.name in KINDS and fault.plant is not None:
                     continue
                 one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
-                if one is not None and not one.rank > found.get(fault.what, one).rank:
-                    found[fault.what] = one
-                if one is not None and one.whole:
+                if one is None or (exactly and not one.exact):
+                    continue
+                if not one.rank > found.get(done, one).rank:
+                    found[done] = one
+                if one.whole:
                     return [one]
             if _exact(found.values()):
                 break
@@ -113,7 +135,7 @@ class _Search:
 
     def together(self, ways: Iterable[Way]) -> list[Fingerprint]:
         """The faults that explain the estimate only together; none where none do."""
-        faults, numbers = self._faults, list(families(self.prepared.log))
+        faults, numbers = self.faults, list(families(self.prepared.log))
         left: list[tuple[FaultTrial, FaultFit]] = []
         for trial in (self._trial(way) for way in ways):
             if any(before.hopeless(fit, trial) for before, fit in left):

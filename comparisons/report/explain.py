@@ -68,8 +68,13 @@ def overview() -> str:
 
 
 def explanation(name: str) -> str:
-    """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
+    """Return what a check asks, needs and finds, and what a cause means. Raises InputError.
+
+    Of `faults` which are composed of what.
+    """
     asked = _spoken(name)
+    if asked == "faults":
+        return composed_faults_in_words()
     checks: list[type[Question[Any]]] = [*every_check(), *event_checks()]
     kinds = every_explanation()
     parts = ["\n".join(_of_check(one)) for one in checks if _spoken(one.name) == asked]
@@ -79,6 +84,66 @@ def explanation(name: str) -> str:
         known = ", ".join(dict.fromkeys((*(one.name for one in checks), *kinds)))
         raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
     return "\n\n".join(parts)
+
+
+SEEN_BY = {
+    "trace": "check of an estimate with a trace, by the matrices that it recorded",
+    "estimate": "check of an estimate alone, by a filter with the fault beside it",
+}
+"""Who can name a composed fault."""
+
+
+def grammar_rows() -> list[tuple[str, str, str, int, str]]:
+    """Return each slot of a filter: name, rows, columns, number of faults, and who names them."""
+    from comparisons.faults.grammar import SLOTS, compositions
+    from comparisons.faults.planting import PLANTED, has
+
+    return [
+        (
+            slot.name,
+            ", ".join(slot.rows),
+            ", ".join(slot.columns),
+            sum(1 for _ in compositions(slot, has(slot))),
+            "trace, estimate" if slot in PLANTED else "trace",
+        )
+        for slot in SLOTS
+    ]
+
+
+def changes_in_words() -> list[str]:
+    """Return what the grammar may say of a part of a slot, each change once."""
+    from comparisons.faults.grammar import F, H, Q, compositions
+    from comparisons.faults.planting import has
+
+    said: dict[str, str] = {}
+    for slot in (H, F, Q):
+        for one in compositions(slot, has(slot)):
+            said.setdefault(one.change, one.said(*(number + 0.5 for number in one.start)))
+    return [
+        words for change, words in said.items() if "negated" not in change or change == "negated"
+    ]
+
+
+def composed_faults_in_words() -> str:
+    """Return the grammar of faults: slots, changes, and who can name what."""
+    rows = grammar_rows()
+    lines = [
+        _wrapped(
+            f"A fault is a slot of a filter, a part of it and a change: {sum(r[3] for r in rows):,}"
+            " are composed so. One is named only where it reproduces the records, or the estimate, "
+            "to rounding.",
+            0,
+        ),
+        "",
+        "Slots, with the number of their faults, and who names them:",
+    ]
+    for name, of_rows, columns, count, who in rows:
+        by = f" by {columns}" if columns else ""
+        lines.append(_wrapped(f"  {name} ({of_rows}{by}): {count}; {who}", 4))
+    lines += ["", "Who names them:"]
+    lines += [_wrapped(f"  {who:<10}{words}", 12) for who, words in SEEN_BY.items()]
+    lines += ["", "Changes, each of a part: all, a row, a column, a block, a term:"]
+    return "\n".join((*lines, *(_wrapped(f"  {words}", 4) for words in changes_in_words())))
 
 
 def _of_check(one: type[Question[Any]]) -> Iterator[str]:

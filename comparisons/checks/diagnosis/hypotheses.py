@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
+from comparisons.faults.grammar import Text, times
 from ekf_reference.core.geometry import wrap_angle
 
 EQUAL = 1e-7
@@ -23,6 +24,8 @@ EQUAL = 1e-7
 _FITTED = 300
 """So many records are fitted, spread over those that deviate; all of them are then compared."""
 _ITERATIONS = 8
+_QUARTER, _LEAST_BEGUN = 4, 10
+"""A fit of angles begins with a quarter of the records, so many at least."""
 _SPARE = 2
 """More records than figures, so many at least, for a fit to be evidence."""
 _LEAST_SPLIT = 3
@@ -30,8 +33,6 @@ _LEAST_SPLIT = 3
 _DETERMINED = 1e-6
 """Smallest singular value, relative to the largest, of figures that can be separated."""
 
-Text = str | Callable[..., str]
-"""What to say of a mistake, as a format of its figures, or made of them."""
 Predict = Callable[..., Array]
 """Of rows (R,) and a mistake's figures: what would have been recorded, (R, ...)."""
 
@@ -88,6 +89,16 @@ class Quantity:
             meant=self.meant[of],
             tolerance=limit[of],
             angle=np.broadcast_to(self.angle, self.have.shape[1:])[at],
+        )
+
+    def columns(self, at: slice) -> Quantity:
+        """Return some columns of each record, a matrix."""
+        limit = np.broadcast_to(self.tolerance, self.have.shape)
+        return replace(
+            self,
+            have=self.have[:, :, at],
+            meant=self.meant[:, :, at],
+            tolerance=limit[:, :, at],
         )
 
     def off(self) -> NDArray[np.bool_]:
@@ -149,19 +160,21 @@ def _holds(
 
 
 def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float, ...] | None:
-    """Figures that fit the rows, None where they do not decide on them."""
+    """Figures that fit the rows, None where none do, or the rows do not decide on them."""
     figures = np.array(hypothesis.start)
     if len(rows) < len(figures) + _SPARE and len(figures):
         return None
-    for _ in range(_ITERATIONS if len(figures) else 0):
-        base = hypothesis.predict(rows, *figures)
-        apart, columns = quantity.apart(rows, base).ravel(), []
+    begin = _least_turned(quantity, rows) if np.any(quantity.angle) else rows
+    for k in range(_ITERATIONS if len(figures) else 0):
+        some = begin if k < _ITERATIONS // 2 else rows
+        base = hypothesis.predict(some, *figures)
+        apart, columns = quantity.apart(some, base).ravel(), []
         for i, value in enumerate(figures):
             step = 1e-6 * max(1.0, abs(value))
             other = figures.copy()
             other[i] += step
-            change = hypothesis.predict(rows, *other) - base
-            columns.append((change / quantity.limit(rows) / step).ravel())
+            change = hypothesis.predict(some, *other) - base
+            columns.append((change / quantity.limit(some) / step).ravel())
         by_figures = np.column_stack(columns)
         size = np.linalg.norm(by_figures, axis=0)
         if not (np.isfinite(by_figures).all() and np.isfinite(apart).all() and (size > 0.0).all()):
@@ -170,31 +183,19 @@ def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float
         if values[-1] < _DETERMINED * values[0]:
             return None
         figures = figures + moved / size
-        if np.abs(moved / size).max() <= 1e-13 * max(1.0, float(np.abs(figures).max())):
+        small = np.abs(moved / size).max() <= 1e-13 * max(1.0, float(np.abs(figures).max()))
+        if small and len(some) == len(rows):
             break
     reported = tuple(np.where(np.abs(figures) < 1e-12, 0.0, figures).tolist())
-    if not len(reported):
-        return reported
     with np.errstate(invalid="ignore"):
         return reported if _holds(quantity, hypothesis, reported, rows) else None
 
 
-def times(what: str, of: str = "the correct value") -> Callable[[float], str]:
-    """Return the text of a factor, signs and zeros named as such."""
-
-    def text(factor: float) -> str:
-        if abs(factor + 1.0) < 1e-6:
-            return f"{what} has the opposite sign"
-        if abs(factor) < 1e-6:
-            return f"{what} is zero"
-        unit = ""
-        for size, named in ((np.degrees(1.0), "degrees instead of radians"),
-                            (np.radians(1.0), "converted to radians twice")):  # fmt: skip
-            if abs(factor / size - 1.0) < 1e-6:
-                unit = f" ({named})"
-        return f"{what} is {factor:.6g} times {of}{unit}"
-
-    return text
+def _least_turned(quantity: Quantity, rows: Index) -> Index:
+    """The quarter of some records that deviates least: none of these by more than half a turn."""
+    off = np.abs(quantity.apart(rows, quantity.meant[rows])).max(axis=1)
+    count = max(len(rows) // _QUARTER, min(len(rows), _LEAST_BEGUN))
+    return np.sort(rows[np.argsort(off)[:count]])
 
 
 def scaled(what: str, array: Array, mask: Array | float = 1.0) -> Hypothesis:

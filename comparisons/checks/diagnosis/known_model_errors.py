@@ -18,10 +18,10 @@ from comparisons.checks.diagnosis.hypotheses import (
     Quantity,
     instead,
     named,
-    times,
 )
 from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
+from comparisons.faults.grammar import times
 from comparisons.logs.log import Log
 from comparisons.plane import pose_difference, turned
 

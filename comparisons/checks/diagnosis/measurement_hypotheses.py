@@ -17,6 +17,17 @@ from comparisons.checks.diagnosis.hypotheses import (
     instead,
     named,
     scaled,
+)
+from comparisons.explain.recorded import explained
+from comparisons.faults.grammar import (
+    EXPECTED,
+    G_X,
+    G_Z,
+    INNOVATION,
+    PLACE,
+    H,
+    R,
+    Values,
     times,
 )
 from comparisons.logs.log import Log
@@ -189,7 +200,22 @@ def _innovations(seen: _Seen) -> Iterator[str]:
     # What was taken for the measurement, if the expected one is right; the bearing up to whole
     # turns.
     taken = replace(both, have=r.innovation + seen.z_hat, meant=seen.z)
-    yield from named(both, _of_both(seen, nu)) or _by_column(taken, seen, "the")
+    lines = named(both, _of_both(seen, nu)) or list(_by_column(taken, seen, "the"))
+    yield from lines or _composed_innovation(both, seen)
+
+
+def _composed_innovation(both: Quantity, seen: _Seen) -> list[str]:
+    """The expected measurement or the innovation by the grammar; both (M, 2) are vectors."""
+    factors = {"the range": seen.z_hat[:, 0]}
+    expected = Values(
+        sound=seen.z_hat[:, :, None],
+        factors=factors,
+        elsewhere={f"that {which}": z[:, :, None] for which, z in seen.others.items()},
+    )
+    residual = Values(sound=both.meant[:, :, None], factors=factors)
+    return explained(
+        EXPECTED, both, expected, lambda values, rows: seen.z[rows] - values[:, :, 0]
+    ) or explained(INNOVATION, both, residual, lambda values, rows: values[:, :, 0])
 
 
 def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
@@ -321,9 +347,20 @@ def _noise_hints(name: str, seen: _Seen, records: str) -> Iterator[str]:
     if found := named(quantity, whole):
         yield from found
         return
-    for k, column in enumerate(_COLUMNS):
-        variances = _variances(f"{name} of the {column}", sigma[:, k], seen.z[:, 0])
-        yield from named(quantity.part(k, k), variances)
+    parts = [
+        named(quantity.part(k, k), _variances(f"{name} of the {column}", sigma[:, k], seen.z[:, 0]))
+        for k, column in enumerate(_COLUMNS)
+    ]
+    slot = replace(R, name=name, records=records)
+    stated = Values(sound=sigma[:, :, None] ** 2 * _TWO, factors={"the range": seen.z_hat[:, 0]})
+    composed = explained(
+        slot, quantity, stated, lambda values, rows: values / size[rows]
+    ) if not any(parts) else []  # fmt: skip
+    yield from composed
+    for lines in parts:
+        yield from lines
+    if composed:
+        return
     correlated = Hypothesis(
         f"{name} has a correlation of {{0:.4g}} between range and bearing",
         lambda rows, c: np.full(len(rows), c),
@@ -367,7 +404,9 @@ def _jacobians(seen: _Seen) -> Iterator[str]:
         records="measurements",
         features=seen.features,
     )
-    if found := named(quantity, _of_jacobians(seen, want)):
+    if found := named(quantity, [_beside_the_pose(seen)]) or explained(
+        H, quantity, _values_of(seen, want)
+    ):
         yield from found
         return
     rows_off = [name for k, name in enumerate(_COLUMNS) if quantity.part(k).off().any()]
@@ -375,59 +414,25 @@ def _jacobians(seen: _Seen) -> Iterator[str]:
         yield f"the {rows_off[0]} row of H is wrong, the other row is right"
 
 
-_POSITION, _HEADING, _LANDMARK, _ALL = (0, 1), (2,), (3, 4), (0, 1, 2, 3, 4)
-_PARTS = (
-    ("the bearing row of H is zero, so bearings have no effect", (1,), _ALL, 0.0),
-    ("the heading column of H is zero", (0, 1), _HEADING, 0.0),
-    ("the position terms in the bearing row of H have the opposite sign", (1,), (0, 1, 3, 4), -1.0),
-)
-_BLOCKS: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...] = (
-    ("H", (0, 1), _ALL),
-    ("the range row of H", (0,), _ALL),
-    ("the bearing row of H", (1,), _ALL),
-    ("the heading column of H", (0, 1), _HEADING),
-    ("the landmark block of H", (0, 1), _LANDMARK),
-    ("the position block of H", (0, 1), _POSITION),
-    ("the pose block of H", (0, 1), (0, 1, 2)),
-    ("the position part of the range row of H", (0,), _POSITION),
-    ("the landmark part of the range row of H", (0,), _LANDMARK),
-    ("the position part of the bearing row of H", (1,), _POSITION),
-    ("the landmark part of the bearing row of H", (1,), _LANDMARK),
-    ("the bearing row of H without its heading term", (1,), (0, 1, 3, 4)),
-)
+def _values_of(seen: _Seen, want: Array) -> Values:
+    """H (M, 2, 5) as it should be, and at the other points that there are."""
+    elsewhere = {
+        **{where: _rays(pose, seen.r.landmark)[1] for where, pose in seen.poses.items()},
+        **{where: _rays(seen.r.pose, point)[1] for where, point in seen.points.items()},
+    }
+    return Values(
+        sound=want,
+        factors={"the range": seen.z_hat[:, 0]},
+        elsewhere={
+            **{f"linearised {where}": one for where, one in elsewhere.items()},
+            "that of the previous measurement": np.roll(want, 1, axis=0),
+        },
+    )
 
 
-def _mask(rows: tuple[int, ...], columns: tuple[int, ...]) -> Array:
-    mask = np.zeros((2, 5))
-    mask[np.ix_(rows, columns)] = 1.0
-    return mask
-
-
-def _landmark_transposed(jacobian: Array) -> Array:
-    """Return Jacobians (M, 2, 5), the last two columns transposed."""
-    result = jacobian.copy()
-    result[:, :, 3:] = jacobian[:, :, 3:].transpose(0, 2, 1)
-    return result
-
-
-def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
-    for text, rows, columns, factor in _PARTS:
-        yield instead(text, want * np.where(_mask(rows, columns) > 0.0, factor, 1.0))
+def _beside_the_pose(seen: _Seen) -> Hypothesis:
+    """H of a sensor that is elsewhere on the vehicle."""
     r = seen.r
-    for where, pose in seen.poses.items():
-        yield instead(f"H is linearised {where}", _rays(pose, r.landmark)[1])
-    for where, point in seen.points.items():
-        yield instead(f"H is linearised {where}", _rays(r.pose, point)[1])
-    place = _mask((1,), (0, 1, 3, 4)) > 0.0
-    for text, ranges in (
-        ("not divided by the range", seen.z_hat[:, 0]),
-        ("divided by the range twice", 1.0 / seen.z_hat[:, 0]),
-    ):
-        changed = np.where(place, want * ranges[:, None, None], want)
-        yield instead(f"the position terms in the bearing row of H are {text}", changed)
-    yield instead("the landmark block of H is transposed", _landmark_transposed(want))
-    for name, which, parts in _BLOCKS:
-        yield scaled(name, want, _mask(which, parts))
 
     def from_place(rows: Index, forward: float, left: float) -> Array:
         pose = _moved(r.pose[rows], forward, left)
@@ -435,7 +440,7 @@ def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
         h[:, :, 2] += h[:, :, 1] * arm[:, :1] - h[:, :, 0] * arm[:, 1:2]
         return h
 
-    yield Hypothesis(
+    return Hypothesis(
         "H is that of a sensor ({0:.4g}, {1:.4g}) m forward and left of the pose",
         from_place,
         (0.0, 0.0),
@@ -470,7 +475,19 @@ def _places(new: _Seen) -> Iterator[str]:
             z + (0.0, np.pi),
         ),
     )
-    yield from named(quantity, others) or _by_column(quantity, new, "new landmarks'")
+    lines = named(quantity, others) or list(_by_column(quantity, new, "new landmarks'"))
+    yield from lines or _composed_places(quantity, new)
+
+
+def _composed_places(quantity: Quantity, new: _Seen) -> list[str]:
+    """The way (N, 2) from the pose to a new landmark by the grammar."""
+    pose = new.r.pose
+    way = _points(pose, new.z)[0] - pose[:, :2]
+    values = Values(sound=way[:, :, None], factors={"the range": new.z[:, 0]}, heading=pose[:, 2])
+    return explained(
+        PLACE, quantity, values,
+        lambda values, rows: _rays(pose[rows], pose[rows, :2] + values[:, :, 0])[0],
+    )  # fmt: skip
 
 
 def _jacobians_of_new(new: _Seen) -> list[str]:
@@ -489,26 +506,20 @@ def _jacobians_of_new(new: _Seen) -> list[str]:
             )
         )
     quantity = min(quantities, key=lambda one: np.count_nonzero(one.off()))
-    return named(quantity, _of_new(new, quantity.meant))
-
-
-def _of_new(new: _Seen, want: Array) -> Iterator[Hypothesis]:
-    plain = want.copy()
-    plain[:, :, 3:] = _TWO
-    yield instead("G_z is the identity: R is not rotated when a landmark is initialised", plain)
-    yield instead("G_z is transposed", _landmark_transposed(want))
-    for where, pose in new.poses.items():
-        yield instead(f"G_x and G_z are linearised {where}", _points(pose, new.z)[1])
-    for text, column in (("the bearing column of G_z", 4), ("the heading column of G_x", 2)):
-        changed = want.copy()
-        changed[:, :, column] /= new.z_hat[:, :1]
-        yield instead(f"{text} lacks the factor of the range", changed)
-    for name, columns in (
-        ("the heading column of G_x", (2,)),
-        ("the bearing column of G_z", (4,)),
-        ("the range column of G_z", (3,)),
-        ("G_z", (3, 4)),
-        ("G_x", (0, 1, 2)),
-        ("the position block of G_x", (0, 1)),
-    ):
-        yield scaled(name, want, _mask((0, 1), columns))
+    elsewhere = {
+        f"linearised {where}": _points(pose, new.z)[1] for where, pose in new.poses.items()
+    }
+    lines = named(
+        quantity, (instead(f"G_x and G_z are {at}", array) for at, array in elsewhere.items())
+    )
+    if lines:
+        return lines
+    for slot, columns in ((G_X, slice(0, 3)), (G_Z, slice(3, 5))):
+        one = quantity.columns(columns)
+        values = Values(
+            sound=one.meant,
+            factors={"the range": new.z_hat[:, 0]},
+            elsewhere={words: array[:, :, columns] for words, array in elsewhere.items()},
+        )
+        lines += explained(slot, one, values)
+    return lines

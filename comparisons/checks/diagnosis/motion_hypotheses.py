@@ -17,13 +17,13 @@ from comparisons.checks.diagnosis.hypotheses import (
     EQUAL,
     Hypothesis,
     Quantity,
-    Text,
     best,
     instead,
     named,
     scaled,
-    times,
 )
+from comparisons.explain.recorded import explained
+from comparisons.faults.grammar import B, F, Q, Text, Values, times
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.stamps import resolved
@@ -112,7 +112,7 @@ def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     odometry = log.odometry
     found, used = _moved(odometry, moves, drive, timeline)
     yield from found
-    yield from _jacobian(run, moves)
+    yield from _jacobian(run, moves, timeline.step_duration_s)
     if not isinstance(odometry, RelativePoses):
         others = [] if used is None else [used, _faster(used, timeline.step_duration_s)]
         ways = [by_control, *(other.steps(every)[1] for other in others)]
@@ -362,7 +362,7 @@ class _Twice:
         return self._model.step(one.pose, control, duration_s)
 
 
-def _jacobian(run: EkfRun, moves: Quantity) -> list[str]:
+def _jacobian(run: EkfRun, moves: Quantity, duration_s: Array) -> list[str]:
     """F, of the moves that were made."""
     trace = run.trace
     move = trace.arrived - trace.departed
@@ -377,25 +377,17 @@ def _jacobian(run: EkfRun, moves: Quantity) -> list[str]:
         return by_heading(*turned(np.column_stack((-move[:, 1], move[:, 0])), part * turn).T)
 
     want = by_heading(-move[:, 1], move[:, 0])
-    heading, lower = np.zeros((3, 3)), np.zeros((3, 3))
-    heading[:2, 2], lower[2, 2] = 1.0, 1.0
-    return named(
-        replace(moves, have=trace.f, meant=want),
-        (
-            instead("F is transposed", want.transpose(0, 2, 1)),
-            instead("F is the identity", np.broadcast_to(np.eye(3), want.shape)),
-            instead("F is linearised at the pose after the step", at(1.0)),
-            instead("F is linearised at the heading at the middle of the step", at(0.5)),
-            instead("F is linearised at the pose before the step, not at its middle", at(-0.5)),
-            instead("F is that of the previous step", np.roll(want, 1, axis=0)),
-            instead(
-                "F's position terms are rotated by 90 degrees", by_heading(move[:, 0], move[:, 1])
-            ),
-            scaled("F's heading column", want, heading),
-            scaled("F's heading term", want, lower),
-            scaled("F", want),
-        ),
+    values = Values(
+        sound=want,
+        factors={"the interval": duration_s},
+        elsewhere={
+            "linearised at the pose after the step": at(1.0),
+            "linearised at the heading at the middle of the step": at(0.5),
+            "linearised at the pose before the step, not at its middle": at(-0.5),
+            "that of the previous step": np.roll(want, 1, axis=0),
+        },
     )
+    return explained(F, replace(moves, have=trace.f, meant=want), values)
 
 
 def _step_noise(
@@ -412,7 +404,37 @@ def _step_noise(
         by_each.append((_of_noise(moves, trace.q, full, tolerance), b))
     quantity, b = min(by_each, key=lambda pair: np.count_nonzero(pair[0].off()))
     turn = "steering angle" if isinstance(wheels, SteeringOdometry) else "yaw rate"
-    return named(quantity, _of_step_noise(run, b, (place, heading), turn))
+    rates = place + heading
+    full = _spread(b, run.timeline.control_covariance) + rates
+    return named(quantity, _of_step_noise(run, b, (place, heading), turn)) or _composed_noise(
+        quantity, run, b, (full, rates)
+    )
+
+
+def _composed_noise(
+    quantity: Quantity, run: EkfRun, b: Array, noise: tuple[Array, Array]
+) -> list[str]:
+    """Q of another B (N, 3, 2), or itself another. noise: Q (N, 3, 3), and what each step adds."""
+    (full, rates), stated = noise, run.timeline.control_covariance
+    factors = {"the interval": run.timeline.step_duration_s}
+    size, heading = _sizes(full), run.trace.departed[:, 2]
+
+    def of_b(values: Array, rows: Index) -> Array:
+        found: Array = (_spread(values, stated[rows]) + rates[rows]) / size[rows]
+        return found
+
+    def of_q(values: Array, rows: Index) -> Array:
+        found: Array = values / size[rows]
+        return found
+
+    jacobian = Values(sound=b, factors=factors, heading=heading)
+    whole = Values(
+        sound=full,
+        factors=factors,
+        heading=heading,
+        elsewhere={"that of the previous step": np.roll(full, 1, axis=0)},
+    )
+    return explained(B, quantity, jacobian, of_b) or explained(Q, quantity, whole, of_q)
 
 
 def _of_noise(moves: Quantity, q: Array, meant: Array, tolerance: Array | float) -> Quantity:
