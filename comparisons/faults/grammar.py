@@ -58,6 +58,10 @@ _MEASURED = ("range", "bearing")
 F = Slot(name="F", rows=_POSE, columns=_POSE, blocks=_POSITION, records="predictions")
 B = Slot(name="the control's Jacobian", rows=_POSE, columns=("speed", "turn"),
          records="predictions")  # fmt: skip
+B_OF_DISPLACEMENT = Slot(
+    name="the displacement's Jacobian", rows=_POSE, columns=("ahead", "left", "turn"),
+    records="predictions",
+)  # fmt: skip
 Q = Slot(name="Q", rows=_POSE, columns=_POSE, blocks=_POSITION, covariance=True,
          records="predictions")  # fmt: skip
 H = Slot(name="H", rows=_MEASURED, columns=(*_POSE, *_OF_LANDMARKS),
@@ -69,7 +73,7 @@ INNOVATION = Slot(name="the innovation", rows=_MEASURED)
 PLACE = Slot(name="the way to new landmarks", rows=_PLACES, records="new landmarks")
 G_X = Slot(name="G_x", rows=_PLACES, columns=_POSE, blocks=_POSITION, records="new landmarks")
 G_Z = Slot(name="G_z", rows=_PLACES, columns=_MEASURED, records="new landmarks")
-SLOTS = F, B, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z
+SLOTS = F, B, B_OF_DISPLACEMENT, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z
 
 
 @dataclass(frozen=True, kw_only=True)

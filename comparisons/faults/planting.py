@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from comparisons.adapters.ekf_factory import motion_model
+from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.faults.fault import Family, Fault, Plant, moving, observing, remembering
 from comparisons.faults.grammar import (
+    B_OF_DISPLACEMENT,
     EXPECTED,
     G_X,
     G_Z,
@@ -25,14 +28,19 @@ from comparisons.faults.grammar import (
     Values,
     compositions,
 )
+from comparisons.logs.log import Log
 from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
 from ekf_reference.models.motion import MotionStep
+from ekf_reference.models.range_bearing import RangeBearing
 
 AFTER, BEFORE = "linearised at the pose after the step", "that of the previous step"
 OLD_POSE = "linearised at the pose of the previous scan"
 INTERVAL, RANGE = "the interval", "the range"
-PLANTED = F, B, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z
+STEPS = F, B, B_OF_DISPLACEMENT
+PLANTED = *STEPS, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z
 """Slots whose faults a filter can be given; Q is made of others."""
+_SAMPLES = 20
+"""Steps and measurements by which faults without an effect, and equal ones, are told."""
 Changed = Callable[[Values], Array]
 
 
@@ -40,20 +48,97 @@ def has(slot: Slot) -> Values:
     """Return values of one record with all that faults of a planted slot may read."""
     one = np.ones((1, *slot.shape))
     elsewhere = {F: (AFTER, BEFORE), H: (OLD_POSE,), G_X: (OLD_POSE,), G_Z: (OLD_POSE,)}
-    turning = slot in (B, PLACE)
+    turning = slot in (B, B_OF_DISPLACEMENT, PLACE)
     return Values(
         sound=one,
-        factors={} if slot is INNOVATION else {INTERVAL if slot in (F, B) else RANGE: one[:, 0, 0]},
+        factors={} if slot is INNOVATION else {INTERVAL if slot in STEPS else RANGE: one[:, 0, 0]},
         heading=one[:, 0, 0] if turning else None,
         elsewhere=dict.fromkeys(elsewhere.get(slot, ()), one),
     )
 
 
-def composed_faults() -> tuple[list[Fault], list[Family]]:
-    """Return the faults that a filter can be given, without a number and with one."""
-    every = [fault for slot in PLANTED for fault in compositions(slot, has(slot))]
-    bare = [Fault(fault.said(), planted(fault)) for fault in every if not fault.start]
-    return bare, [_family(fault) for fault in every if fault.start]
+def composed_faults(log: Log) -> tuple[list[Fault], list[Family]]:
+    """Return the faults that a filter of a log can be given, without a number and with one.
+
+    Of several that make the same values, one: that of the largest part. None without an effect.
+    """
+    bare, numbered = list[Fault](), list[Family]()
+    for slot, values in _sound_values(log).items():
+        made = {values.sound.tobytes()}
+        for fault in compositions(slot, values):
+            with np.errstate(all="ignore"):
+                changed = fault.values(values, *(number + 0.7 for number in fault.start))
+            key = np.round(changed, 9).tobytes()
+            if key in made or np.array_equal(changed, values.sound):
+                continue
+            made.add(key)
+            if fault.start:
+                numbered.append(_family(fault))
+            else:
+                bare.append(Fault(fault.said(), planted(fault)))
+    return bare, numbered
+
+
+def _sound_values(log: Log) -> dict[Slot, Values]:
+    """What a sound filter of a log has in some steps and measurements, by what can be planted."""
+    return {**_sound_steps(log), **_sound_measurements()}
+
+
+def _sound_steps(log: Log) -> dict[Slot, Values]:
+    """Of the log's own motion, from poses drawn at random."""
+    timeline, model = build_timeline(log), motion_model(log)
+    some = np.unique(np.linspace(0, len(timeline.control) - 1, _SAMPLES).astype(int))
+    pose = np.random.default_rng(0).uniform(0.3, 1.2, (len(some), 3))
+    duration_s = timeline.step_duration_s[some]
+
+    def steps_from(poses: Array) -> list[MotionStep]:
+        return [
+            model.step(at, timeline.control[k], float(s))
+            for at, k, s in zip(poses, some, duration_s, strict=True)
+        ]
+
+    steps, after = steps_from(pose), steps_from(pose + (0.0, 0.0, 0.4))
+    own, there = (np.array([one.jacobian_pose for one in each]) for each in (steps, after))
+    by_control = np.array([one.jacobian_control for one in steps])
+    factors = {INTERVAL: duration_s}
+    elsewhere = {AFTER: there, BEFORE: np.roll(own, 1, axis=0)}
+    return {
+        F: Values(sound=own, factors=factors, elsewhere=elsewhere),
+        (B if by_control.shape[2] == 2 else B_OF_DISPLACEMENT): Values(
+            sound=by_control, factors=factors, heading=pose[:, 2]
+        ),
+    }
+
+
+def _sound_measurements() -> dict[Slot, Values]:
+    """Of points around two poses; R differs from measurement to measurement."""
+    rng, model = np.random.default_rng(1), RangeBearing()
+    pose, old = rng.uniform(0.3, 1.2, (2, 3))
+    z = np.column_stack((rng.uniform(2.0, 20.0, _SAMPLES), rng.uniform(-1.0, 1.0, _SAMPLES)))
+    new, new_of_old = model.invert(pose, z), model.invert(old, z)
+    seen, seen_of_old = (model.predict(at, new.landmark) for at in (pose, old))
+    joint, joint_of_old = (
+        np.concatenate((one.jacobian_pose, one.jacobian_landmark), axis=2)
+        for one in (seen, seen_of_old)
+    )
+    noise = np.array((0.04, 0.01)) * np.eye(2) * rng.uniform(1.0, 2.0, (_SAMPLES, 1, 1))
+    innovation = rng.standard_normal((_SAMPLES, 2, 1))
+    way = (new.landmark - pose[:2])[:, :, None]
+    factors = {RANGE: z[:, 0]}
+
+    def of(sound: Array, old_one: Array | None = None) -> Values:
+        elsewhere = {} if old_one is None else {OLD_POSE: old_one}
+        return Values(sound=sound, factors=factors, elsewhere=elsewhere)
+
+    return {
+        H: of(joint, joint_of_old),
+        R: of(noise),
+        EXPECTED: of(seen.z[:, :, None]),
+        INNOVATION: Values(sound=innovation),
+        PLACE: Values(sound=way, factors=factors, heading=np.full(_SAMPLES, pose[2])),
+        G_X: of(new.jacobian_pose, new_of_old.jacobian_pose),
+        G_Z: of(new.jacobian_z, new_of_old.jacobian_z),
+    }
 
 
 def _family(fault: Composition) -> Family:
@@ -80,9 +165,10 @@ def planted(fault: Composition, *numbers: float) -> Plant:
         return fault.values(values, *numbers)
 
     made = {
-        F: _in_step, B: _in_step, H: _in_prediction, EXPECTED: _in_prediction,
-        G_X: _in_inverse, G_Z: _in_inverse, PLACE: _in_inverse,
-    }  # fmt: skip
+        **dict.fromkeys(STEPS, _in_step),
+        **dict.fromkeys((H, EXPECTED), _in_prediction),
+        **dict.fromkeys((G_X, G_Z, PLACE), _in_inverse),
+    }
     if fault.slot is INNOVATION:
         return observing(
             innovation=lambda sound, z, z_hat: changed(
@@ -108,7 +194,7 @@ def _in_step(slot: Slot, changed: Changed) -> Plant:
     def step(sound: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
         moved: MotionStep = sound(pose, control, duration_s)
         factors, heading = {INTERVAL: np.array([duration_s])}, np.array([pose[2]])
-        if slot is B:
+        if slot is not F:
             values = Values(sound=moved.jacobian_control[None], factors=factors, heading=heading)
             return moved._replace(jacobian_control=changed(values)[0])
         there = sound(np.append(pose[:2], moved.pose[2]), control, duration_s)

@@ -54,7 +54,7 @@ def fingerprints(
         for steps, other in _integrated(log)
         for order, by in ORDERS.items()
     ]
-    composed, numbered = composed_faults()
+    composed, numbered = composed_faults(log)
     found = search.through(ordered, search.faults, progress)
     todo: tuple[tuple[bool, Iterable[Fault | Family]], ...] = (
         (True, composed),
