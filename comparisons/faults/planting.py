@@ -63,7 +63,7 @@ def composed_faults(log: Log) -> tuple[list[Fault], list[Family]]:
     Of several that make the same values, one: that of the largest part. None without an effect.
     """
     bare, numbered = list[Fault](), list[Family]()
-    for slot, values in _sound_values(log).items():
+    for slot, values in sound_values(log).items():
         made = {values.sound.tobytes()}
         for fault in compositions(slot, values):
             with np.errstate(all="ignore"):
@@ -79,7 +79,7 @@ def composed_faults(log: Log) -> tuple[list[Fault], list[Family]]:
     return bare, numbered
 
 
-def _sound_values(log: Log) -> dict[Slot, Values]:
+def sound_values(log: Log) -> dict[Slot, Values]:
     """What a sound filter of a log has in some steps and measurements, by what can be planted."""
     return {**_sound_steps(log), **_sound_measurements()}
 

@@ -13,7 +13,7 @@ of faults that move a pose by a tenth of a sigma and more.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +26,8 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.config import EkfConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.faults.grammar import Composition, compositions
-from comparisons.faults.planting import PLANTED, has, planted
+from comparisons.faults.grammar import Composition, Slot, Values, compositions
+from comparisons.faults.planting import planted, sound_values
 from comparisons.jobs.check import check
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
@@ -35,7 +35,9 @@ from ekf_reference.core.state import FilterDivergedError
 from research.script import options, present, print_head, print_row
 
 SECONDS, LEAST_SIGMA = 25.0, 0.1
-OUTCOMES = "own words", "its slot", "another's words", "nothing"
+ACCEPTED = "accepted"
+"""The estimate is as good as one of a sound filter: nothing is asked of it."""
+OUTCOMES = "own words", "its slot", "another's words", "nothing", ACCEPTED
 
 
 class DrawnFault(NamedTuple):
@@ -50,10 +52,14 @@ class DrawnFault(NamedTuple):
         return self.fault.said(*self.numbers)
 
 
-def drawn(rng: np.random.Generator) -> DrawnFault:
-    """A fault at random: each slot, then each kind of change, is as likely as any other."""
-    slot = PLANTED[rng.integers(len(PLANTED))]
-    every = list(compositions(slot, has(slot)))
+def drawn(rng: np.random.Generator, values: Mapping[Slot, Values]) -> DrawnFault:
+    """A fault at random: each slot, then each kind of change, is as likely as any other.
+
+    values: what a sound filter has in each slot.
+    """
+    slots = list(values)
+    slot = slots[rng.integers(len(slots))]
+    every = list(compositions(slot, values[slot]))
     changes = sorted({one.change for one in every})
     change = changes[rng.integers(len(changes))]
     some = [one for one in every if one.change == change]
@@ -108,13 +114,18 @@ def said_of_estimate(log: Log, run: EkfRun) -> list[str]:
         pose_covariance=known.pose_covariance,
         information="filtered",
     )
-    return [one.evidence for one in check(log, given).causes if one.gap == "fault"]
+    found = check(log, given)
+    if not found.causes:
+        return [ACCEPTED]
+    return [one.evidence for one in found.causes if one.gap == "fault"]
 
 
 def judged(one: DrawnFault, said: Sequence[str]) -> str:
     """How a fault was named, of OUTCOMES."""
     if not said:
         return "nothing"
+    if said[0] == ACCEPTED:
+        return ACCEPTED
     if said[0].startswith(one.words):
         return "own words"
     return "its slot" if f"{one.fault.slot.name} " in f"{said[0]} " else "another's words"
@@ -126,9 +137,9 @@ def main() -> None:
     rng = np.random.default_rng(given.seed)
     log = cut_log(open_log(given.log, choices=SimulationChoices(given.seed)), None, SECONDS)
     counts: Counter[tuple[str, str]] = Counter()
-    sound = present(run_with(log, None))
+    sound, values = present(run_with(log, None)), sound_values(log)
     while sum(counts.values()) < given.faults:
-        one = drawn(rng)
+        one = drawn(rng, values)
         run = run_with(log, one)
         if run is None:
             continue

@@ -26,7 +26,7 @@ from comparisons.faults.grammar import (
     compositions,
     parts,
 )
-from comparisons.faults.planting import PLANTED, has
+from comparisons.faults.planting import PLANTED, has, sound_values
 from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
@@ -101,8 +101,9 @@ def test_a_sound_filter_has_no_fault(log: Log, sound: EkfRun) -> None:
 def test_a_fault_that_is_drawn_is_named_by_the_records(log: Log, sound: EkfRun) -> None:
     """All of them, most with their own words; other words are of the same values."""
     rng, said = np.random.default_rng(11), list[tuple[str, Sequence[str]]]()
+    values = sound_values(log)
     while len(said) < DRAWN:
-        one = drawn(rng)
+        one = drawn(rng, values)
         run = run_with(log, one)
         if run is None or without_effect(sound, run):
             continue
