@@ -30,6 +30,7 @@ from comparisons.faults.planting import PLANTED, has, sound_values
 from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
+from comparisons.report.explain import explanation
 from research.trust.composed import DrawnFault, drawn, run_with, without_effect
 from tests.helpers import present
 
@@ -165,3 +166,9 @@ def test_two_faults_in_two_rows_are_both_named() -> None:
 
 def test_planted_slots_are_those_that_a_model_gives() -> None:
     assert set(SLOTS) - set(PLANTED) == {Q}
+
+
+def test_the_program_prints_the_grammar() -> None:
+    said = explanation("faults")
+    assert "H (range, bearing by x, y, heading, landmark's x, landmark's y)" in said
+    assert "  H is divided by the square of the range" in said.splitlines()
