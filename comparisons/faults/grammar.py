@@ -73,7 +73,16 @@ INNOVATION = Slot(name="the innovation", rows=_MEASURED)
 PLACE = Slot(name="the way to new landmarks", rows=_PLACES, records="new landmarks")
 G_X = Slot(name="G_x", rows=_PLACES, columns=_POSE, blocks=_POSITION, records="new landmarks")
 G_Z = Slot(name="G_z", rows=_PLACES, columns=_MEASURED, records="new landmarks")
-SLOTS = F, B, B_OF_DISPLACEMENT, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z
+_AXES = ("east", "north")
+POSITION = Slot(name="the innovation of positions", rows=_AXES, records="positions")
+R_OF_POSITION = Slot(name="R of positions", rows=_AXES, columns=_AXES, covariance=True,
+                     records="positions")  # fmt: skip
+PRIOR = Slot(name="the prior's covariance", rows=_POSE, columns=_POSE, blocks=_POSITION,
+             covariance=True, records="priors")  # fmt: skip
+SLOTS = (
+    F, B, B_OF_DISPLACEMENT, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z, POSITION,
+    R_OF_POSITION, PRIOR,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,10 +19,12 @@ from comparisons.faults.grammar import (
     G_Z,
     INNOVATION,
     PLACE,
+    POSITION,
     B,
     Composition,
     F,
     H,
+    Q,
     R,
     Slot,
     Values,
@@ -45,13 +47,23 @@ Changed = Callable[[Values], Array]
 
 
 def has(slot: Slot) -> Values:
-    """Return values of one record with all that faults of a planted slot may read."""
+    """Return values of one record with all that faults of a slot may read."""
     one = np.ones((1, *slot.shape))
-    elsewhere = {F: (AFTER, BEFORE), H: (OLD_POSE,), G_X: (OLD_POSE,), G_Z: (OLD_POSE,)}
-    turning = slot in (B, B_OF_DISPLACEMENT, PLACE)
+    factor = {
+        **dict.fromkeys((*STEPS, Q), INTERVAL),
+        **dict.fromkeys((H, R, EXPECTED, PLACE, G_X, G_Z), RANGE),
+    }
+    elsewhere = {
+        F: (AFTER, BEFORE),
+        Q: (BEFORE,),
+        H: (OLD_POSE,),
+        G_X: (OLD_POSE,),
+        G_Z: (OLD_POSE,),
+    }
+    turning = slot in (B, B_OF_DISPLACEMENT, Q, PLACE, POSITION)
     return Values(
         sound=one,
-        factors={} if slot is INNOVATION else {INTERVAL if slot in STEPS else RANGE: one[:, 0, 0]},
+        factors={factor[slot]: one[:, 0, 0]} if slot in factor else {},
         heading=one[:, 0, 0] if turning else None,
         elsewhere=dict.fromkeys(elsewhere.get(slot, ()), one),
     )

@@ -16,6 +16,9 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.explain.recorded import explained
 from comparisons.faults.grammar import (
     G_X,
+    POSITION,
+    PRIOR,
+    R_OF_POSITION,
     SLOTS,
     Composition,
     F,
@@ -165,7 +168,25 @@ def test_two_faults_in_two_rows_are_both_named() -> None:
 
 
 def test_planted_slots_are_those_that_a_model_gives() -> None:
-    assert set(SLOTS) - set(PLANTED) == {Q}
+    assert set(SLOTS) - set(PLANTED) == {Q, POSITION, R_OF_POSITION, PRIOR}
+
+
+def test_positions_and_the_prior_are_slots_too() -> None:
+    rng = np.random.default_rng(0)
+    meant = rng.standard_normal((30, 2))
+    for have, words in (
+        (meant * (-1.0, 1.0), "the east of the innovation of positions has the opposite sign"),
+        (meant[:, ::-1], "east and north in the innovation of positions are exchanged"),
+    ):
+        quantity = Quantity(have=have, meant=meant, tolerance=1e-9, records="positions")
+        values = Values(sound=meant[:, :, None])
+        (said,) = explained(POSITION, quantity, values, lambda moved, rows: moved[:, :, 0])
+        assert said == f"{words}, in 30 of 30 positions"
+    prior = np.diag((0.04, 0.01, 0.001))[None]
+    have = prior[:, [0, 2, 1]][:, :, [0, 2, 1]]
+    quantity = Quantity(have=have, meant=prior, tolerance=1e-9, records="priors")
+    (said,) = explained(PRIOR, quantity, Values(sound=prior))
+    assert said.startswith("the variances of y and heading in the prior's covariance are exchanged")
 
 
 def test_the_program_prints_the_grammar() -> None:

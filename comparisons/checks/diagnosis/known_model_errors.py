@@ -21,7 +21,8 @@ from comparisons.checks.diagnosis.hypotheses import (
 )
 from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
-from comparisons.faults.grammar import times
+from comparisons.explain.recorded import explained
+from comparisons.faults.grammar import POSITION, PRIOR, R_OF_POSITION, Values, times
 from comparisons.logs.log import Log
 from comparisons.plane import pose_difference, turned
 
@@ -63,6 +64,8 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     )
     if not quantity.off().any():
         return
+    stated = Values(sound=log.prior.covariance[None])
+    composed = explained(PRIOR, quantity, stated, lambda values, rows: values / scale)
     have, meant = quantity.have.ravel(), quantity.meant.ravel()
     factor = float(have @ meant / (meant @ meant))  # one record: fitted over its entries
     limit = quantity.tolerance * max(1.0, abs(factor))
@@ -71,6 +74,8 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         yield "the prior's covariance contains sigma instead of sigma squared"
     elif np.abs(have - factor * meant).max() <= limit:
         yield times("the prior's covariance", "the log's")(factor)
+    elif composed:
+        yield from (line.partition(", in ")[0] for line in composed)
     else:
         for k, (name, _) in enumerate(_ENTRIES):
             ratio = run.trace.prior_covariance[k, k] / log.prior.covariance[k, k]
@@ -95,6 +100,7 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
     )
     departed = run.trace.departed[np.maximum(r.step - 1, 0)]
     older = place - departed[:, :2] - turned(stated, departed[:, 2])
+    residual = Values(sound=meant[:, :, None], heading=pose[:, 2])
     yield from named(
         quantity,
         (
@@ -120,7 +126,7 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
                 (1.0,),
             ),
         ),
-    )
+    ) or explained(POSITION, quantity, residual, lambda values, rows: values[:, :, 0])
     noise = r.noise * r.weight[:, None, None]
     yield from _position_noise(noise, positions.covariance[r.number], quantity)
 
@@ -130,8 +136,9 @@ def _position_noise(have: Array, stated: Array, of: Quantity) -> list[str]:
     sigma = np.sqrt(stated[:, (0, 1), (0, 1)])
     size = sigma[:, :, None] * sigma[:, None, :]
     diagonal = stated * np.eye(2)
+    quantity = replace(of, have=have / size, meant=stated / size, tolerance=EQUAL)
     return named(
-        replace(of, have=have / size, meant=stated / size, tolerance=EQUAL),
+        quantity,
         (
             instead(
                 "R of positions contains sigma instead of sigma squared", np.sqrt(diagonal) / size
@@ -146,4 +153,6 @@ def _position_noise(have: Array, stated: Array, of: Quantity) -> list[str]:
                 (0.0,),
             ),
         ),
+    ) or explained(
+        R_OF_POSITION, quantity, Values(sound=stated), lambda values, rows: values / size[rows]
     )
