@@ -40,6 +40,8 @@ from typing import Any, Literal
 from markdown.extensions.toc import slugify
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from research.documents.claims import in_words
+
 ROOT = Path(__file__).resolve().parents[1]
 REGISTRY = ROOT / "research" / "results.toml"
 HASHED = ("ekf_reference/", "graphslam/", "comparisons/", "slamcheck/", "research/")
@@ -438,8 +440,8 @@ def _claims(table: Table, done: TableOutputs) -> Cells:
     for folder in done.folders.values():
         for figure in json.loads((folder / "claims.json").read_text(encoding="utf-8"))["figures"]:
             for claim in figure["claims"]:
-                value = claim["measured"]
-                measured = "none" if value is None else f"{value:.3g} {claim['unit']}".strip()
+                spread = claim["drives_least"], claim["drives_most"]
+                measured = in_words(claim["measured"], claim["unit"], spread)
                 holds = "yes" if claim["holds"] else f"**no**: {claim['cause'] or 'not explained'}"
                 rows.append((figure["name"], claim["text"], measured, claim["asked"], holds))
     return ("figure", "claim", "measured", "asked", "holds"), tuple(rows)

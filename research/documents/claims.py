@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, SupportsFloat
+from typing import Any, Literal, SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.figures import finite
 
@@ -46,6 +49,8 @@ class Claim:
         holds: whether the claim holds; without a figure it does not.
         cause: whose it is that the claim does not hold, where that is known.
         why: what is different here, where the claim does not hold and the reason is known.
+        drives_least: the least of what each drive gives; null of a claim on all drives together.
+        drives_most: the largest.
     """
 
     text: str
@@ -59,12 +64,28 @@ class Claim:
     holds: bool
     cause: Cause | None
     why: str | None
+    drives_least: float | None = None
+    drives_most: float | None = None
+
+    def over(self, drives: Sequence[SupportsFloat] | NDArray[Any]) -> Claim:
+        """The claim with the spread of what each drive gives."""
+        each = np.asarray(drives, dtype=float)
+        return replace(
+            self, drives_least=finite(float(each.min())), drives_most=finite(float(each.max()))
+        )
 
     def explained(self, why: Why | None) -> Claim:
         """The claim with this cause, none where it holds."""
         known = None if self.holds else why
         cause, text = (None, None) if known is None else (known.cause, known.text)
         return replace(self, cause=cause, why=text)
+
+
+def in_words(measured: float | None, unit: str, spread: tuple[float | None, float | None]) -> str:
+    """Return a figure with its unit, and its spread over the drives where it has one."""
+    least, most = spread
+    text = "none" if measured is None else f"{measured:.3g} {unit}".rstrip()
+    return text if least is None or most is None else f"{text} ({least:.3g} to {most:.3g} by drive)"
 
 
 Claims = Iterator[Claim]

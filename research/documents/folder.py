@@ -11,7 +11,7 @@ from rich.console import Console
 
 from comparisons.atomic import fresh_folder
 from comparisons.report.html.shell import document, picture, table
-from research.documents.claims import Claim
+from research.documents.claims import Claim, in_words
 from research.documents.interface import FigureResult, ReproductionResult
 
 CLAIMS = "claims.json"
@@ -110,4 +110,4 @@ def _met(*figures: FigureResult) -> str:
 
 
 def _measured(claim: Claim) -> str:
-    return "none" if claim.measured is None else f"{claim.measured:.3g} {claim.unit}".rstrip()
+    return in_words(claim.measured, claim.unit, (claim.drives_least, claim.drives_most))

@@ -196,7 +196,8 @@ def _claims_5(found: Drives[WaypointDrive]) -> Claims:
         "and tells exactly where the robot is (median RMS error; limit: the distance within "
         "which a waypoint counts as reached)"
     )
-    yield at_most(text, median("misono"), WaypointRun().reached_m, "m", why=why, own=True)
+    each = [one.rms_m("misono") for one in found.each]
+    yield at_most(text, np.median(each), WaypointRun().reached_m, "m", why=why, own=True).over(each)
 
 
 def _claims_6(found: Journeys) -> Claims:
@@ -204,13 +205,15 @@ def _claims_6(found: Journeys) -> Claims:
     text = (
         "by SLAM the robot ends nearer to its starting point than by dead reckoning (median ratio)"
     )
-    yield at_most(text, np.median(slam / blind), 1.0)
+    yield at_most(text, np.median(slam / blind), 1.0).over(slam / blind)
     why = theirs(_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE)))
     text = (
         "it returns to it (worst drive; limit: twice the distance within which a "
         "waypoint counts as reached)"
     )
-    yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True)
+    yield at_most(text, slam.max(), 2.0 * WaypointRun().reached_m, "m", why=why, own=True).over(
+        slam
+    )
 
 
 def _draw_5(canvas: Canvas, found: Drives[WaypointDrive]) -> None:

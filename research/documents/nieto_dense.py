@@ -190,7 +190,7 @@ def _corrected(text: str, maps: Maps, layer: str) -> Claims:
         f"onto the true ones {median(best):.2f} m are left of it, the noise of the returns, which "
         "no closing corrects"
     )
-    yield at_most(text, median(now / then), 1.0, why=why)
+    yield at_most(text, median(now / then), 1.0, why=why).over(now / then)
 
 
 def _claims_4_3(maps: Maps) -> Claims:
@@ -216,7 +216,7 @@ def _claims_of_grids(maps: Maps) -> Claims:
         "DenseSLAM's grid is more accurate than one grid on every drive (95 % of the distances "
         "to the surfaces, largest ratio)"
     )
-    yield at_most(text, np.max(dense / classic), 1.0, why=why)
+    yield at_most(text, np.max(dense / classic), 1.0, why=why).over(dense / classic)
     why = ours(
         f"{median(own):.2f} and {median(other):.2f} m; the noise of the returns alone is 1 "
         "degree, or 0.44 m at 25 m"
@@ -225,7 +225,7 @@ def _claims_of_grids(maps: Maps) -> Claims:
         "it fits the landmark map, where one grid is misshapen (the same once the landmarks "
         "are moved onto the true ones, median ratio)"
     )
-    yield at_most(text, np.median(own / other), 1.0, why=why)
+    yield at_most(text, np.median(own / other), 1.0, why=why).over(own / other)
     text = "because the closing corrects it (95 %, after over before, median of drives)"
     yield from _corrected(text, maps, "occupancy")
     why = ours(
@@ -234,7 +234,7 @@ def _claims_of_grids(maps: Maps) -> Claims:
         "landmarks are moved onto the true ones"
     )
     text = "it is more accurate on the whole (95 % of the distances, median ratio)"
-    yield at_most(text, np.median(dense / classic), 1.0, why=why)
+    yield at_most(text, np.median(dense / classic), 1.0, why=why).over(dense / classic)
 
 
 @_also_literally({})
@@ -251,7 +251,7 @@ def _claims_4_16(maps: Maps) -> Claims:
             f"{name} and occupied cells are of the same surfaces (share of the former within "
             f"{_CELLS:g} cells of the latter, mean of drives)"
         )
-        yield at_least(text, np.mean(shares), 0.9, own=True)
+        yield at_least(text, np.mean(shares), 0.9, own=True).over(shares)
 
 
 def _map(

@@ -140,13 +140,15 @@ def _claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
     for d in found.each:
         looks.update(d.run.looks)
     text = "the first search has three candidates (median of the drives)"
-    yield at_least(text, np.median(shown), CANDIDATES)
-    yield at_least("at least one of them is accepted (the same)", np.median(taken), FIRST)
+    yield at_least(text, np.median(shown), CANDIDATES).over(shown)
+    yield at_least("at least one of them is accepted (the same)", np.median(taken), FIRST).over(
+        taken
+    )
     text = "and two are rejected for too few Gaussians (the same)"
     rejected = [n - k for n, k in zip(shown, taken, strict=True)]
-    yield at_least(text, np.median(rejected), CANDIDATES - FIRST)
+    yield at_least(text, np.median(rejected), CANDIDATES - FIRST).over(rejected)
     text = "once the loop is closed four more have been detected (the same)"
-    yield at_least(text, np.median(later), LATER)
+    yield at_least(text, np.median(later), LATER).over(later)
     why = ours(
         "44 s are left after the search that finds four of them, and a landmark is used from "
         f"the first scan that has {SHARE:.0%} of its template in view and fixes its heading: "
@@ -155,7 +157,7 @@ def _claims_6_5(found: Drives[HighLevelDrive]) -> Claims:
         "direction open 3 are used in each of 3 drives"
     )
     text = "in the end five are in the state, seen again and used (the same)"
-    yield at_least(text, np.median(kept), FIRST + LATER, why=why)
+    yield at_least(text, np.median(kept), FIRST + LATER, why=why).over(kept)
 
 
 HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)

@@ -126,16 +126,20 @@ def _claims_3_5(found: Examples) -> Claims:
     )
     why = elsewhere(f"until the loop closes it is {until(with_base).min():.2f}; {closed}")
     text = "the point's correlation with its region's landmarks is high (least)"
-    yield at_least(text, min(w.min() for w in with_base), 0.9, why=why, own=True)
+    least = [w.min() for w in with_base]
+    yield at_least(text, min(least), 0.9, why=why, own=True).over(least)
     why = elsewhere(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}")
     text = "with a distant landmark it is almost one in the world (least until the loop closes)"
-    yield at_least(text, until(world).min(), 0.95, why=why, own=True)
+    least = [w[early].min() for w, early in zip(world, before, strict=True)]
+    yield at_least(text, min(least), 0.95, why=why, own=True).over(least)
     why = elsewhere(f"until the loop closes it is {until(local).max():.2f}; {closed}")
     text = "and almost zero in the region (largest)"
-    yield at_most(text, max(c.max() for c in local), 0.1, why=why, own=True)
+    most = [c.max() for c in local]
+    yield at_most(text, max(most), 0.1, why=why, own=True).over(most)
     why = elsewhere(f"until the loop closes it is {until(ratio).max():.2f}; {closed}")
     text = "its deviation is smaller in the region than in the world (largest ratio)"
-    yield at_most(text, max(r.max() for r in ratio), 1.0, why=why)
+    most = [r.max() for r in ratio]
+    yield at_most(text, max(most), 1.0, why=why).over(most)
 
 
 def _claims_3_12(found: Examples) -> Claims:
@@ -150,21 +154,21 @@ def _claims_3_12(found: Examples) -> Claims:
         f"{world.min():.2f} to {world.max():.2f} m"
     )
     text = "in the world the point moves by more than half a metre (median of drives)"
-    yield at_least(text, np.median(world), 0.5, "m", why=why)
+    yield at_least(text, np.median(world), 0.5, "m", why=why).over(world)
     why = elsewhere(
         f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
         f"in the median {np.median(local):.2f} m"
     )
     text = "in its region it moves by about 0.1 m (largest of all drives)"
-    yield at_most(text, local.max(), 0.1, "m", why=why)
+    yield at_most(text, local.max(), 0.1, "m", why=why).over(local)
     text = "which is a fifth of its motion in the world (median ratio)"
-    yield at_most(text, np.median(local / world), 0.2)
+    yield at_most(text, np.median(local / world), 0.2).over(local / world)
     why = elsewhere(
         "the thesis shows one drive; so it does in "
         f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
     )
     text = f"{_SETTLING_S:.0f} s after the closing it stays where it is (largest range)"
-    yield at_most(text, max(unsettled), 0.02, "m", why=why, own=True)
+    yield at_most(text, max(unsettled), 0.02, "m", why=why, own=True).over(unsettled)
 
 
 WORLD_COLOUR, LOCAL_COLOUR = EKF_COLOUR, SMOOTHER_COLOUR

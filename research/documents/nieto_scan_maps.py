@@ -127,7 +127,8 @@ def _claims_6_7(found: Drives[DenseScanMap]) -> Claims:
         "closing the loop brings them there (median distance over the one before, the worst "
         "of the layers and drives)"
     )
-    yield at_most(text, max(a / b for a, b in zip(after, before, strict=True)), 1.0)
+    ratio = [a / b for a, b in zip(after, before, strict=True)]
+    yield at_most(text, max(ratio), 1.0).over(ratio)
     why = ours(
         "no map can hold so much: all returns of a drive, placed by its true poses, lie beside "
         "66 % of the surface, the templates beside 35 % of it (seed 0); and scan landmarks "
@@ -137,7 +138,7 @@ def _claims_6_7(found: Drives[DenseScanMap]) -> Claims:
         "the maps hold more than the landmarks' templates by themselves (surface that lies "
         "within 0.5 m of the one over that of the other, the least of the layers and drives)"
     )
-    yield at_least(text, min(more), 1.0, why=why)
+    yield at_least(text, min(more), 1.0, why=why).over(more)
 
 
 def _draw_6_7(canvas: Canvas, found: Drives[DenseScanMap]) -> None:
