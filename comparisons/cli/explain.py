@@ -11,16 +11,18 @@ from comparisons.cli.support import AGREE, guarded
 
 def explain(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="A check or a cause; none lists them all.")
+        str | None,
+        typer.Argument(metavar="NAME", help="A check, a cause, or faults; none lists them all."),
     ] = None,
 ) -> None:
-    """Say what a check asks, needs and finds, or what a cause of a verdict means.
+    """Say what a check asks, needs and finds, what a cause means, or how faults are composed.
 
     \b
     Examples:
       slamcheck explain
       slamcheck explain truth_gap
       slamcheck explain linearisation
+      slamcheck explain faults
     """
     with guarded():
         from comparisons.report.explain import explanation, overview

@@ -64,6 +64,7 @@ def overview() -> str:
     ):
         named = [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in rows]
         lines += ["", title, *named]
+    lines += ["", "faults: how the faults of a filter are composed."]
     return "\n".join(lines[1:])
 
 
@@ -81,7 +82,7 @@ def explanation(name: str) -> str:
     asked = asked.removesuffix(" gap")
     parts += ["\n".join(_of_cause(*one)) for one in kinds.items() if one[0] == asked]
     if not parts:
-        known = ", ".join(dict.fromkeys((*(one.name for one in checks), *kinds)))
+        known = ", ".join(dict.fromkeys((*(one.name for one in checks), *kinds, "faults")))
         raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
     return "\n\n".join(parts)
 
