@@ -1,8 +1,7 @@
 """The causes in `docs/verdicts.md`, written anew: `python -m tools.verdicts_page`.
 
-What a kind of cause means, what to check, what it decides and the slots of the grammar come from
-the code. How it is found,
-examples and how often it errs are written by hand and stay.
+What a kind of cause means, what to check, what it decides, the slots of the grammar and the
+formulas of events come from the code. How it is found, examples and how often it errs are by hand.
 """
 
 from __future__ import annotations
@@ -11,12 +10,14 @@ import re
 import textwrap
 from pathlib import Path
 
+from comparisons.faults.recipes import formulas_in_words
 from comparisons.report.explain import every_explanation, grammar_rows
 from comparisons.words import DECIDES, Explanation
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdicts.md"
 _TABLE = re.compile(r"\| kind \| .*?\n\n", re.DOTALL)
 _GRAMMAR = re.compile(r"\| slot \| .*?\n\n", re.DOTALL)
+_FORMULAS = re.compile(r"\| event \| .*?\n\n", re.DOTALL)
 _SECTION = re.compile(r"^## Cause: (\w+)\n\n(.*?)(?=^## )", re.DOTALL | re.MULTILINE)
 _WIDTH = 120
 
@@ -30,6 +31,7 @@ def written(page: str) -> str:
     found = list(_SECTION.finditer(page))
     page = page[: found[0].start()] + "".join(sections) + page[found[-1].end() :]
     page = _GRAMMAR.sub(lambda _: _grammar(), page, count=1)
+    page = _FORMULAS.sub(lambda _: _formulas(), page, count=1)
     return _TABLE.sub(lambda _: _table(kinds), page, count=1)
 
 
@@ -37,6 +39,11 @@ def _grammar() -> str:
     rows = [f"| {' | '.join(map(str, row))} |" for row in grammar_rows()]
     head = "| slot | rows | columns | faults | named by |"
     return "\n".join((head, "|---|---|---|---|---|", *rows, "", ""))
+
+
+def _formulas() -> str:
+    rows = [f"| {name} | `{text}` |" for name, text in formulas_in_words().items()]
+    return "\n".join(("| event | formulas |", "|---|---|", *rows, "", ""))
 
 
 def _table(kinds: dict[str, Explanation]) -> str:

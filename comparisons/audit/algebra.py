@@ -7,28 +7,14 @@ happens. For `audit`, which has a trace, and for `run`, which goes through its f
 from __future__ import annotations
 
 import re
-from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.faults import (
-    PLAIN,
-    WITH_GAIN,
-    Apply,
-    KnownFault,
-    Remembering,
-    corrects_otherwise,
-    digits,
-    families,
-    known_faults,
-    name_correction,
-    name_gain,
-)
 from comparisons.audit.replay import (
     BlockLayout,
     Fused,
@@ -37,9 +23,12 @@ from comparisons.audit.replay import (
     Unlike,
     apart,
     check_gain,
-    largest_pair,
 )
-from comparisons.statistics import ROUNDING, SINGULAR, covariance_gap, units
+from comparisons.explain.events import MOST_REPLAYED, EventCause, KnownFault, localise
+from comparisons.faults.of_corrections import name_correction, name_gain
+from comparisons.faults.recursion import Remembering
+from comparisons.faults.substitutions import continued
+from comparisons.statistics import ROUNDING, units
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -56,22 +45,16 @@ from comparisons.trace.events import (
 
 MOST_SEARCHED = 20
 """Faults of the algebra whose cause is sought; more of other causes are counted."""
+_MOST_CORRECTIONS = 4
+"""Gains and corrections that were not named, after which no other's name is sought."""
+_MOST_UNNAMED, _MOST_UNNAMED_IN_ALL = 2, 8
+"""Events of a kind, and of all, whose cause was not found, after which no other's is sought."""
 MOST_KEPT = 5_000
 """Events since the last snapshot that are kept for this."""
-MOST_REPLAYED = 100_000
-"""Events that are replayed in search of one cause."""
-_STEPS, _CLOSE = 8, 1e-9
-"""Of a number's fit: how many at most, and relative to the number, where it ends."""
-_SHARE = 1e-4
-"""Of the difference that a known error must not leave unexplained."""
-_PART = 0.01
-"""Likewise, of one that only shows along a direction of which the filter is certain."""
 _REMEMBERED = 64
 """Events before a snapshot whose matrices may have been used in place of a later one's."""
 _SMALL = 0.01
 """A correction, in radians, below which a reset may as well be the identity."""
-_MOST_TIED = 3
-"""Errors that explain a snapshot alike, and are named."""
 _SINGLE = 1e-3
 """Sigmas of what rounding leaves of covariances in single precision."""
 _OF_DOUBLE, _OF_SINGLE = 1e-9, 2.0**-23
@@ -160,7 +143,7 @@ class AlgebraCheck:
         self.tolerance = tolerance
         self.sound = self.optimal = self.known = True
         self.gains = self.unlike = 0
-        self._known: set[str] = set()
+        self._known: dict[str, KnownFault] = {}
         self._searched = 0
         self._broken: set[str] = set()
         self._found: dict[str, tuple[AuditFinding, float | None, int, float]] = {}
@@ -175,9 +158,15 @@ class AlgebraCheck:
         self._largest: Array
         self._resets = _Resets()
         self._last: Event
+        self._last_before: Array | None = None
+        self._earlier: Array | None = None
+        self._stale: Array | None = None
+        self._prior: Array | None = None
         self._since = "the prior"
         self._numbers: dict[str, Array] = {}
         self._proposed = False
+        self._unlike_any: Counter[str] = Counter()
+        self._raw: Array | None = None
 
     def take(self, event: Event, unsound: str = "") -> Fused | None:
         """Do an event, or compare a snapshot; return what an update came to, if that is known.
@@ -198,6 +187,7 @@ class AlgebraCheck:
         self._last = event
         if isinstance(event, TracePrior):
             self.replay = Replay(event)
+            self._prior = self.replay.covariance.copy()
             self._largest = self.replay.covariance.diagonal().copy()
             if self.known:
                 self._restart()
@@ -206,7 +196,8 @@ class AlgebraCheck:
             self._kept.append(event)
             if len(self._kept) > MOST_KEPT:
                 self._start = None
-        before = self.replay.covariance
+        before = self._covariance_before(event)
+        self._earlier, self._last_before = self._last_before, before
         if self._rounding is not None:
             self._rounding = self._carry(self._rounding, event)
         self._largest = self._carry(self._largest, event)
@@ -219,6 +210,11 @@ class AlgebraCheck:
         if isinstance(event, Update) and event.used and fused is not None:
             self._gain(event, fused, before)
         return fused
+
+    def _covariance_before(self, event: Event) -> Array:
+        """P before an event; a copy where the event may change it in place."""
+        p = self.replay.covariance
+        return p.copy() if isinstance(event, Predict | Reset) else p
 
     def _unsound(self, event: Event, what: str) -> Event:
         """Name a noise that is no covariance; return the event with a sound one in its place.
@@ -331,19 +327,19 @@ class AlgebraCheck:
 
     def _name(self, event: Update, before: Array, unlike: Unlike) -> str | None:
         """Say of what a gain or a correction is, if it is known. before: P before the update."""
-        if self._unnamed > MOST_SEARCHED:
+        if self._unnamed >= _MOST_CORRECTIONS:
             return None
         replay = self._remembering(self.replay)
-        replay.covariance = before
+        replay.covariance, replay.stale = before, self._earlier
         for one in self._kept[:-1]:
-            replay.note(one)
+            replay.remember(one)
         with np.errstate(all="ignore"):
             if unlike.fault:
                 correction = name_correction(event, replay)
                 said = None if correction is None else f"corrects the estimate by {correction}"
             else:
                 gain = name_gain(event, replay)
-                said = None if gain is None else f"uses the gain of {gain.what}"
+                said = None if gain is None else f"uses the gain of an update where {gain.kind}"
         self._unnamed += said is None
         return said
 
@@ -352,7 +348,7 @@ class AlgebraCheck:
 
         Those are the first of all, and some before the last snapshot.
         """
-        return Remembering(replay, (*self._first, *self._recent))
+        return Remembering(replay, (*self._first, *self._recent), self._stale, self._prior)
 
     def _snapshot(self, snapshot: Snapshot) -> None:
         """Compare a snapshot with the recursion, which goes on from it where it is wrong."""
@@ -458,6 +454,8 @@ class AlgebraCheck:
 
         Where it does not, what it differs by was rounding there, and the recursion goes on so.
         """
+        if self._raw is not None and self._goes_on_uneven(recorded, at, least):
+            return False
         again, other = start.copy(), LongFormReplay.of(start)
         with np.errstate(all="ignore"):
             for event in self._kept:
@@ -469,6 +467,21 @@ class AlgebraCheck:
             return True
         self.replay.covariance = again.covariance
         return False
+
+    def _goes_on_uneven(self, recorded: Array, at: slice | Index, least: Array | None) -> bool:
+        """Whether a snapshot is what the events make of one that was not symmetric."""
+        assert self._start is not None  # noqa: S101 - there are events since then
+        assert self._raw is not None  # noqa: S101 - asked for before
+        stack, replay = self._raw[None], Remembering(self._start)
+        with np.errstate(all="ignore"):
+            for event in self._kept:
+                stack = continued(stack, replay, event)
+                replay.step(event)
+        right = stack[0][at][:, at]
+        if self._differs(recorded, right, least):
+            return False
+        self.replay.covariance = 0.5 * (stack[0] + stack[0].T)
+        return True
 
     def _tells_gains(self) -> bool:
         """Whether corrections tell the gains that are not recorded, with a snapshot of all.
@@ -556,13 +569,15 @@ class AlgebraCheck:
 
     def _restart(self, recorded: Array | None = None) -> None:
         """Begin an interval between snapshots. recorded: the snapshot, if it is of all blocks."""
-        kept = self._kept
+        kept, self._stale = self._kept, self._last_before
         self._recent.extend(kept[-_REMEMBERED:])
         if len(self._first) < _REMEMBERED:
             self._first += kept[:_REMEMBERED]
         self._start, self._kept, self._open = self.replay.copy(), [], {}
+        self._raw = None
         if recorded is not None:
             self._start.covariance = 0.5 * (recorded + recorded.T)
+            self._raw = None if np.array_equal(recorded, recorded.T) else recorded
 
     def _invalid(self, snapshot: Snapshot, cause: AuditFinding | None = None) -> None:
         """Add that a covariance is invalid. cause: what is known of where it became so."""
@@ -676,16 +691,25 @@ class AlgebraCheck:
             return True
         start = self._remembering(self._start)
         least = self._least(snapshot.blocks)
-        cause = localise(start, self._kept, snapshot, self.tolerance, self._known, least)
+        known = tuple(self._known.values())
+        kinds = ", ".join(dict.fromkeys(map(_kind_of, self._kept)))
+        alike, every = self._unlike_any[kinds], self._unlike_any.total()
+        sought = alike < _MOST_UNNAMED and every < _MOST_UNNAMED_IN_ALL
+        most = MOST_REPLAYED if sought else 0
+        cause = localise(
+            start, self._kept, snapshot, self.tolerance, known, least, most_replayed=most
+        )
         if cause.kind not in self._known:
             self._searched += 1
+            self._unlike_any[kinds] += not cause.kind
         tells = self._tells_gains() or (weight >= 0.0 and self._is_of_open(cause))
         if self._open and not tells:
             self._allow(snapshot.covariance, _UNTOLD)
             return False
         finding = self._finding(cause, snapshot)
         if cause.kind:
-            self._known.add(cause.kind)
+            assert cause.known is not None  # noqa: S101 - it has a kind
+            self._known[cause.kind] = cause.known
             self._explain(cause)
             invalid = " and ".join(self._invalidity(snapshot))
             if invalid:
@@ -699,11 +723,11 @@ class AlgebraCheck:
             self._invalid(snapshot, finding)
         return True
 
-    def _is_of_open(self, cause: AlgebraCause) -> bool:
+    def _is_of_open(self, cause: EventCause) -> bool:
         """Whether a cause is a gain that a correction tells; others presume Kalman's."""
         return bool(cause.kind) and cause.event is not None and cause.event.number in self._open
 
-    def _explain(self, cause: AlgebraCause) -> None:
+    def _explain(self, cause: EventCause) -> None:
         """Leave out the gain that is named with the covariance."""
         if cause.event is None:
             return
@@ -712,7 +736,7 @@ class AlgebraCheck:
             self._pending = [one for one in self._pending if one[0].event != number]
             self._open.pop(number, None)
             self.optimal = False
-        elif cause.what.startswith(WITH_GAIN):
+        elif cause.known is not None and cause.known.fault.with_gain:
             kept = [one for one in self._pending if one[0].fault or one[0].event != number]
             self.optimal = self.optimal and len(kept) == len(self._pending)
             self._pending = kept
@@ -727,7 +751,7 @@ class AlgebraCheck:
             self._found[f"{finding.check}|{finding.sensor}|{kind}"] = old, seen_s, count, most
         self.add(finding, kind or "unknown", weight)
 
-    def _finding(self, cause: AlgebraCause, snapshot: Snapshot) -> AuditFinding:
+    def _finding(self, cause: EventCause, snapshot: Snapshot) -> AuditFinding:
         check = "gain" if cause.sound else "algebra"
         event = cause.event
         if event is None and not self._kept:
@@ -811,20 +835,9 @@ def _parts(numbers: Array, layout: BlockLayout) -> dict[str, Array]:
     return {name: numbers[layout.entries(name)] for name in layout.dims}
 
 
-class AlgebraCause(NamedTuple):
-    """event: which; None where it is one of several. what: the error, as a predicate of the event.
-
-    blocks: which it is of. kind: of an error that gives the recorded covariance to rounding, empty
-    where none does. sound: it is none, but a choice that is consistent. repeated: all like it, from
-    there on.
-    """
-
-    event: Event | None
-    what: str
-    blocks: Blocks
-    kind: str = ""
-    sound: bool = False
-    repeated: bool = False
+def _kind_of(event: Event) -> str:
+    """Of events that an error is likely to be in alike."""
+    return f"update of {event.sensor}" if isinstance(event, Update) else type(event).__name__
 
 
 def name_of(event: Event) -> str:
@@ -849,233 +862,3 @@ def name_of(event: Event) -> str:
         case Snapshot() | Directions():
             return f"event {event.number}"
     return f"event {event.number} ({what})"
-
-
-def localise(
-    start: Remembering,
-    events: Sequence[Event],
-    snapshot: Snapshot,
-    tolerance: float,
-    before: Collection[str] = (),
-    least: Array | None = None,
-) -> AlgebraCause:
-    """Return the cause of a snapshot that is not as the events before it say.
-
-    Args:
-        start: As after the last snapshot that was right.
-        events: Those between the two.
-        snapshot: The wrong one.
-        tolerance: What rounding explains, in sigmas.
-        before: Kinds of errors that explained earlier ones; they are tried first.
-        least: (n,) variances that are rounding.
-    """
-    changing = [e for e in events if not isinstance(e, Snapshot | Directions | TracePrior)]
-    plain = start.copy()
-    for event in changing:
-        plain.apply(event)
-    at = plain.layout.columns(snapshot.blocks)
-    right = plain.covariance[at][:, at]
-    scaled = apart(snapshot.covariance, right, least)
-    dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
-    largest = float(scaled.max())
-    allowed = max(tolerance, _SHARE * min(largest, 1.0)) if largest > tolerance else _PART * largest
-    wrong = _wrong(scaled, snapshot.blocks, dims, allowed) if len(changing) == 1 else None
-    unit = units(snapshot.covariance, snapshot.covariance, least)
-    search = _Search(start, changing, snapshot, allowed, wrong, unit)
-    for only in (before, None) if before else (None,):
-        found = search.run(only)
-        if found is not None:
-            return found
-    pair = largest_pair(np.where(np.isfinite(scaled), scaled, np.inf), snapshot.blocks, dims)
-    of = f"block {pair[0]}" if pair[0] == pair[1] else f"block {pair[0]} with {pair[1]}"
-    what = f"the covariance of {of} is off by {scaled.max():.2g} of its sigmas"
-    if largest <= tolerance:
-        worst = covariance_gap(snapshot.covariance, right, units(right, right), SINGULAR).largest
-        what += f", by {worst:.2g} along the direction that it is most certain of"
-    blocks = tuple(dict.fromkeys(pair))
-    return AlgebraCause(changing[0] if len(changing) == 1 else None, what, blocks)
-
-
-class _Search:
-    """Tries known errors at events, and at all like one from there on; the first that fits.
-
-    An error at a single event goes before the same at several, and one without a number before
-    those that are fitted.
-    """
-
-    def __init__(
-        self,
-        start: Remembering,
-        events: Sequence[Event],
-        snapshot: Snapshot,
-        allowed: float,
-        wrong: Blocks | None,
-        unit: Array,
-    ) -> None:
-        """wrong: blocks that a single event has left wrong. unit: (n,) of differences."""
-        self.scale = np.outer(unit, unit)
-        self.start, self.events, self.snapshot = start, events, snapshot
-        self.allowed, self.wrong = allowed, wrong
-        self.left = 0
-
-    def run(self, only: Collection[str] | None) -> AlgebraCause | None:
-        """Return what explains the snapshot. only: none but errors of these kinds."""
-        with np.errstate(all="ignore"):  # an error that is not the filter's may overflow
-            for fitted in (False, True):
-                for from_first in (False, True):
-                    found = self._first(only, fitted=fitted, from_first=from_first)
-                    if found is not None:
-                        return found
-        return None
-
-    def _first(
-        self, only: Collection[str] | None, *, fitted: bool, from_first: bool
-    ) -> AlgebraCause | None:
-        """Return the first error that explains the snapshot, within what may be replayed.
-
-        Of those with a number the simplest at the first event with any.
-        """
-        self.left = MOST_REPLAYED // 4
-        fits: list[tuple[int, AlgebraCause]] = []
-        for before, at, fault, repeated in self._tries(only, fitted=fitted, from_first=from_first):
-            if fits and (fits[0][1].event is not self.events[at] or fault.general):
-                break
-            found = self._explains(before, at, fault, repeated)
-            if found is not None:
-                fits.append(found)
-                if fault.general:
-                    break
-            if self.left < 0:
-                break
-        if not fits:
-            return None
-        if not fitted:
-            return _tied([cause for _, cause in fits])
-        count, simplest = min(fits, key=lambda one: one[0])
-        # Any number explains what other numbers explain as well: it is told by being plain.
-        told = count <= PLAIN or all(one.kind == simplest.kind for _, one in fits)
-        return simplest if told else None
-
-    def _tries(
-        self, only: Collection[str] | None, *, fitted: bool, from_first: bool
-    ) -> Iterator[tuple[Remembering, int, KnownFault, bool]]:
-        """Yield errors, where they may be, and whether all like it have it.
-
-        from_first: at the first event of its kind, and all like it; else at single ones, and the
-        rest.
-        """
-        before = self.start.copy()
-        for i, event in enumerate(self.events):
-            first = not any(_same(one, event) for one in self.events[:i])
-            like = any(_same(event, one) for one in self.events[i + 1 :])
-            if from_first:
-                ways = [True] if first and like else []
-            else:
-                ways = [False, True] if like and not first else [False]
-            for fault in self._faults(event, before, fitted) if ways else ():
-                if only is None or (fault.kind or fault.what) in only:
-                    for repeated in ways:
-                        yield before, i, fault, repeated
-            before.apply(event)
-            before.note(event)
-
-    def _faults(self, event: Event, before: Remembering, fitted: bool) -> Iterator[KnownFault]:
-        if not fitted:
-            return known_faults(event, before, self.wrong)
-        # Where the correction is another gain's, a number for Kalman's explains nothing.
-        other = isinstance(event, Update) and corrects_otherwise(event, before)
-        return iter(()) if other else families(event)
-
-    def _explains(
-        self, before: Remembering, at: int, fault: KnownFault, repeated: bool
-    ) -> tuple[int, AlgebraCause] | None:
-        """Return the cause if an error gives the snapshot, and how many digits its number has."""
-        found, count = fault, 0
-        if fault.number is not None:
-            number = self._number(before, at, fault, repeated)
-            if number is None:
-                return None
-            found, count = fault.member(number), digits(number, fault.neutral)
-        if not self._gives(before, at, found, repeated):
-            return None
-        repeated = repeated and not self._gives(before, at, found, False)
-        kind = fault.kind or fault.what
-        cause = AlgebraCause(self.events[at], found.what, found.blocks, kind, found.sound, repeated)
-        return count, cause
-
-    def _gives(self, before: Remembering, at: int, fault: KnownFault, repeated: bool) -> bool:
-        off = self._off(before, at, fault, fault.apply, repeated)
-        return off is not None and float(np.abs(off).max()) <= self.allowed
-
-    def _number(
-        self, before: Remembering, at: int, fault: KnownFault, repeated: bool
-    ) -> float | None:
-        """Fit the number of a family by secants; None where it explains nothing."""
-        assert fault.number is not None  # noqa: S101 - a family has one
-        x, y = fault.neutral, 1.1 * fault.neutral + 1e-6 * (fault.neutral == 0.0)
-        old, now = (self._off(before, at, fault, fault.number(z), repeated) for z in (x, y))
-        for _ in range(_STEPS):
-            if old is None or now is None:
-                return None
-            slope = (now - old) / (y - x)
-            if not slope.any():
-                return None
-            x, y = y, y - float(np.vdot(slope, now) / np.vdot(slope, slope))
-            if fault.neutral and y <= 0.0:
-                y = 0.1 * x
-            if abs(y - x) <= _CLOSE * abs(y):
-                break
-            old, now = now, self._off(before, at, fault, fault.number(y), repeated)
-
-        return y
-
-    def _off(
-        self, before: Remembering, at: int, fault: KnownFault, apply: Apply, repeated: bool
-    ) -> Array | None:
-        """Return how the snapshot differs, in sigmas, if an event is done so, and those like it.
-
-        Of those like it the ones in whose state the error's blocks still are. None where the error
-        leads to no finite covariance, as without an inverse that it needs.
-        """
-        replay, events = before.copy(), self.events[at:]
-        self.left -= len(events)
-        for i, event in enumerate(events):
-            like = repeated and _same(events[0], event)
-            if not i or (like and all(b in replay.layout.dims for b in fault.blocks)):
-                apply(replay, event)
-            else:
-                replay.apply(event)
-            replay.note(event)
-        columns = replay.layout.columns(self.snapshot.blocks)
-        expected, recorded = replay.covariance[columns][:, columns], self.snapshot.covariance
-        if not np.isfinite(expected).all():
-            return None
-        scaled, right = (p / self.scale for p in (recorded, expected))
-        if float(np.abs(right - right.T).max()) > self.allowed:
-            scaled, right = 0.5 * (scaled + scaled.T), 0.5 * (right + right.T)
-        return scaled - right
-
-
-def _wrong(scaled: Array, blocks: Blocks, dims: tuple[int, ...], allowed: float) -> Blocks:
-    """Blocks with a covariance that is off by more than allowed."""
-    entries = ~(scaled.max(axis=1) <= allowed) | ~(scaled.max(axis=0) <= allowed)
-    parts = np.split(entries, np.cumsum(dims)[:-1])
-    return tuple(name for name, off in zip(blocks, parts, strict=True) if off.any())
-
-
-def _tied(causes: Sequence[AlgebraCause]) -> AlgebraCause:
-    """Return the first of causes that all explain a snapshot, with the others in its words."""
-    first = causes[0]
-    others = [one.what for one in causes[1:] if one.repeated == first.repeated]
-    others = [what for what in dict.fromkeys(others) if what != first.what][: _MOST_TIED - 1]
-    return first._replace(what=", or ".join((first.what, *others)))
-
-
-def _same(event: Event, other: Event) -> bool:
-    if type(event) is not type(other):
-        return False
-    if isinstance(event, Update) and isinstance(other, Update):
-        return event.sensor == other.sensor
-    if isinstance(event, Predict | Reset) and isinstance(other, Predict | Reset):
-        return event.blocks == other.blocks
-    return False

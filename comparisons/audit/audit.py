@@ -8,7 +8,7 @@ fault is found where it happens.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -28,6 +28,7 @@ from comparisons.audit.consistency import (
     departures,
     first_error,
 )
+from comparisons.audit.explained import ExplainedInnovations, explained_innovations
 from comparisons.audit.replay import BlockLayout, Fused, apart
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
 from comparisons.audit.uses import MeasurementUse
@@ -57,6 +58,8 @@ MOST_ANCHORS = 200
 LARGEST_ANCHORED = 500
 """Entries of a state whose smoothed marginals are kept on the way."""
 _MOST_GAPS = 2_000
+_FIRST = float("inf")
+"""What explains all that innovations show goes before them."""
 _CONSEQUENCE = 0.5
 """What innovations show explains other figures: these go first only where they show far more."""
 
@@ -117,6 +120,7 @@ class Audit:
         files: in the folder.
         not_checked: checks without an answer, and what the trace lacks for it.
         learnt: what `spurious` is of, with curves; no part of a result file.
+        explained: noises and constants that explain the innovations; likewise.
         unsolved: the event from which on nothing is compared with least squares, for its noise is
             no covariance; likewise.
         timed: every update has a time, and times do not fall; likewise.
@@ -148,6 +152,7 @@ class Audit:
     files: tuple[str, ...] = ()
     not_checked: dict[str, str] = field(default_factory=dict)
     learnt: Aside[Learnt | None]
+    explained: Aside[ExplainedInnovations | None]
     unsolved: Aside[int | None]
     timed: Aside[bool]
     gains_unlike: Aside[int]
@@ -221,8 +226,11 @@ class _Pass:
             text = f"sensor `{name}`: {one.what}"
             finding = AuditFinding("innovations", True, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, one.weight)
-        for figures in sensors:
-            self._judge_innovations(figures, level)
+        departing = [departures(figures, level) for figures in sensors]
+        explained = self._explain_innovations(departing, level)
+        cause = explained.name if explained is not None and explained.fits else ""
+        for figures, found in zip(sensors, departing, strict=True):
+            self._judge_innovations(figures, found, cause)
         self._judge_smoother(smoothed.averaged, level)
         self._judge_errors(nees, smoothed, level)
         findings = self.algebra.findings()
@@ -248,6 +256,7 @@ class _Pass:
             nees_by_block=nees,
             spurious=None if spurious is None else spurious.directions,
             learnt=spurious,
+            explained=explained,
             unsolved=self.unsolved,
             timed=self.timed,
         )
@@ -385,18 +394,40 @@ class _Pass:
         if not self.acted and snapshot.blocks == self.prior.blocks:
             self.errors.before = error
 
-    def _judge_innovations(self, figures: SensorInnovations, level: float) -> None:
+    def _explain_innovations(
+        self, departing: Iterable[Sequence[ConsistencyDeparture]], level: float
+    ) -> ExplainedInnovations | None:
+        """Name noises and constants that explain what is off, where the algebra is sound.
+
+        Those that leave something are named, and are no fault by themselves. departing: what is
+        off, by sensor.
+        """
+        algebra = self.algebra
+        off = any(each.fault for found in departing for each in found)
+        if not (off and algebra.sound and algebra.known and algebra.optimal):
+            return None
+        explained = explained_innovations(self.trace, self.trace.sensors, level)
+        if explained is not None:
+            fits, what = explained.fits, explained.what
+            finding = AuditFinding("innovations", fits, what, None, sensor=explained.sensor)
+            algebra.add(finding, what, _FIRST if fits else 0.0)
+        return explained
+
+    def _judge_innovations(
+        self, figures: SensorInnovations, found: Sequence[ConsistencyDeparture], cause: str
+    ) -> None:
+        """Name what departs of a sensor. cause: what explains all of it, if anything does."""
         name = figures.sensor
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
             self.algebra.add(AuditFinding("innovations", True, text, None, sensor=name), "unusable")
-        found = departures(figures, level)
         weight = max((one.weight for one in found), default=0.0)  # a sensor's go together
         for one in found:
             text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
             if not self.algebra.optimal:
                 text += "; its bands are those of Kalman's gain"
-            fault = self.algebra.optimal and one.fault
+            text += f", explained by {cause}" if cause else ""
+            fault = self.algebra.optimal and one.fault and not cause
             finding = AuditFinding("innovations", fault, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, weight)
 

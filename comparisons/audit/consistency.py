@@ -17,6 +17,7 @@ from scipy.special import bdtr, bdtrc, ndtr, rel_entr
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import BlockLayout, Fused, Replay
+from comparisons.explain.noises import RecordedStep
 from comparisons.innovations import (
     NO_SENSOR,
     Gating,
@@ -40,7 +41,15 @@ from comparisons.statistics import (
     stretch,
     two_sided,
 )
-from comparisons.trace.events import Augment, Event, SensorDescription, Snapshot, TracePrior, Update
+from comparisons.trace.events import (
+    Augment,
+    Event,
+    Predict,
+    SensorDescription,
+    Snapshot,
+    TracePrior,
+    Update,
+)
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import Link
 
@@ -172,13 +181,22 @@ def event_innovations(
     events: Iterable[Event], sensors: Mapping[str, SensorDescription]
 ) -> tuple[SensorInnovations, ...]:
     """Return the innovations of all events, by sensor."""
+    return step_innovations((RecordedStep(event, None) for event in events), sensors)
+
+
+def step_innovations(
+    steps: Iterable[RecordedStep], sensors: Mapping[str, SensorDescription]
+) -> tuple[SensorInnovations, ...]:
+    """Return the innovations of all events, by sensor, with what moves predictions beside them."""
     found = EventInnovations(sensors)
     replay: Replay
-    for event in events:
+    for event, applied in steps:
         if isinstance(event, TracePrior):
             replay = Replay(event)
             continue
         fused = replay.apply(event)
+        if isinstance(event, Predict) and applied is not None:
+            replay.mean -= applied
         if isinstance(event, Augment):
             found.begin(event)
         elif isinstance(event, Update) and fused is not None:

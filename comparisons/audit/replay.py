@@ -9,7 +9,7 @@ its covariance is that of this gain and its estimate moves by it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
@@ -36,6 +36,14 @@ _ALIKE = 1e-4
 """Relative to the largest entry, within which a shape of a gain is recognised."""
 _NAMED = 3
 """Blocks that are named even where they are all."""
+
+
+def square(at: Columns) -> tuple[Any, Any]:
+    """Return the index of rows and columns alike."""
+    if isinstance(at, slice):
+        return at, at
+    rows, columns = np.ix_(at, at)
+    return rows, columns
 
 
 class BlockLayout:
@@ -87,6 +95,18 @@ class BlockLayout:
             del self.dims[name]
         self._find()
         return np.flatnonzero(~gone)
+
+    def follow(self, event: Event) -> None:
+        """Begin or remove the blocks that an event does."""
+        match event:
+            case Augment():
+                self.add(event.name, len(event.jacobian))
+            case Clone():
+                self.add(event.name, self.dims[event.source])
+            case Remove():
+                self.remove(event.blocks)
+            case _:
+                pass
 
     def of(self, blocks: Iterable[str]) -> BlockLayout:
         """Return the layout of some blocks alone, in their order."""
@@ -166,7 +186,7 @@ class Replay:
         p[at] = f @ p[at]
         p[:, at] = p[:, at] @ f.T
         if noise is not None:
-            p[(at, at) if isinstance(at, slice) else np.ix_(at, at)] += noise
+            p[square(at)] += noise
         mean[at] = f @ mean[at]
 
     def update(self, event: Update) -> Fused:

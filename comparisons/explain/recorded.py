@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.diagnosis.hypotheses import Hypothesis, Quantity, named
+from comparisons.explain.hypotheses import Hypothesis, Quantity, named
 from comparisons.faults.grammar import Composition, Slot, Values, compositions
 
 Shown = Callable[[Array, Index], Array]

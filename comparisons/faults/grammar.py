@@ -9,7 +9,7 @@ what a filter with the fault has, for thousands of records at once, or for one a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
@@ -23,6 +23,15 @@ Mask = NDArray[np.bool_]
 Text = str | Callable[..., str]
 """What to say of a fault, as a format of its numbers, or made of them."""
 _PLACES = ("x", "y")
+_MOST_EXCHANGED = 20
+"""Rows of a matrix, above which none are exchanged: it is that of many landmarks."""
+
+
+class Part(NamedTuple):
+    """Of a slot. words: as `the heading column of H`. mask: (r, c) which terms."""
+
+    words: str
+    mask: Mask
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,7 +44,8 @@ class Slot:
         columns: Of its columns; of a vector one without a name.
         blocks: Columns that belong together, by name; of a covariance rows as well.
         covariance: Symmetric, of variances.
-        records: What it is recorded for, in words.
+        named_parts: Its parts, where they are not all rows, columns, blocks and terms; none of what
+            is changed as a whole alone.
     """
 
     name: str
@@ -43,7 +53,7 @@ class Slot:
     columns: tuple[str, ...] = ("",)
     blocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     covariance: bool = False
-    records: str = "measurements"
+    named_parts: tuple[Part, ...] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -55,30 +65,26 @@ _POSE = ("x", "y", "heading")
 _POSITION: Mapping[str, tuple[int, ...]] = {"position": (0, 1)}
 _OF_LANDMARKS = ("landmark's x", "landmark's y")
 _MEASURED = ("range", "bearing")
-F = Slot(name="F", rows=_POSE, columns=_POSE, blocks=_POSITION, records="predictions")
-B = Slot(name="the control's Jacobian", rows=_POSE, columns=("speed", "turn"),
-         records="predictions")  # fmt: skip
+F = Slot(name="F", rows=_POSE, columns=_POSE, blocks=_POSITION)
+B = Slot(name="the control's Jacobian", rows=_POSE, columns=("speed", "turn"))  # fmt: skip
 B_OF_DISPLACEMENT = Slot(
     name="the displacement's Jacobian", rows=_POSE, columns=("ahead", "left", "turn"),
-    records="predictions",
 )  # fmt: skip
-Q = Slot(name="Q", rows=_POSE, columns=_POSE, blocks=_POSITION, covariance=True,
-         records="predictions")  # fmt: skip
+Q = Slot(name="Q", rows=_POSE, columns=_POSE, blocks=_POSITION, covariance=True)  # fmt: skip
 H = Slot(name="H", rows=_MEASURED, columns=(*_POSE, *_OF_LANDMARKS),
          blocks={"pose": (0, 1, 2), "position and landmark": (0, 1, 3, 4), "position": (0, 1),
                  "landmark": (3, 4)})  # fmt: skip
 R = Slot(name="R", rows=_MEASURED, columns=_MEASURED, covariance=True)
 EXPECTED = Slot(name="the expected measurement", rows=_MEASURED)
 INNOVATION = Slot(name="the innovation", rows=_MEASURED)
-PLACE = Slot(name="the way to new landmarks", rows=_PLACES, records="new landmarks")
-G_X = Slot(name="G_x", rows=_PLACES, columns=_POSE, blocks=_POSITION, records="new landmarks")
-G_Z = Slot(name="G_z", rows=_PLACES, columns=_MEASURED, records="new landmarks")
+PLACE = Slot(name="the way to new landmarks", rows=_PLACES)
+G_X = Slot(name="G_x", rows=_PLACES, columns=_POSE, blocks=_POSITION)
+G_Z = Slot(name="G_z", rows=_PLACES, columns=_MEASURED)
 _AXES = ("east", "north")
-POSITION = Slot(name="the innovation of positions", rows=_AXES, records="positions")
-R_OF_POSITION = Slot(name="R of positions", rows=_AXES, columns=_AXES, covariance=True,
-                     records="positions")  # fmt: skip
+POSITION = Slot(name="the innovation of positions", rows=_AXES)
+R_OF_POSITION = Slot(name="R of positions", rows=_AXES, columns=_AXES, covariance=True)  # fmt: skip
 PRIOR = Slot(name="the prior's covariance", rows=_POSE, columns=_POSE, blocks=_POSITION,
-             covariance=True, records="priors")  # fmt: skip
+             covariance=True)  # fmt: skip
 SLOTS = (
     F, B, B_OF_DISPLACEMENT, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z, POSITION,
     R_OF_POSITION, PRIOR,
@@ -109,13 +115,6 @@ class Values:
             heading=None if self.heading is None else self.heading[rows],
             elsewhere={words: one[rows] for words, one in self.elsewhere.items()},
         )
-
-
-class Part(NamedTuple):
-    """Of a slot. words: as `the heading column of H`. mask: (r, c) which terms."""
-
-    words: str
-    mask: Mask
 
 
 class Composition(NamedTuple):
@@ -158,51 +157,62 @@ def times(what: str, of: str = "the correct value") -> Callable[[float], str]:
                             (np.radians(1.0), "converted to radians twice")):  # fmt: skip
             if abs(factor / size - 1.0) < 1e-6:
                 unit = f" ({named})"
-        return f"{what} is {factor:.6g} times {of}{unit}"
+        return f"{what} is {number_text(factor, 1.0)} times {of}{unit}"
 
     return text
+
+
+def number_text(number: float, neutral: float) -> str:
+    """Return a number with six digits, or as many as tell it from the one of no fault."""
+    for count in range(6, 16):
+        if float(text := f"{number:.{count}g}") != neutral:
+            return text
+    return f"{number:.17g}"
 
 
 def parts(slot: Slot) -> Iterator[Part]:
     """Yield a slot's parts, the largest first: all, rows, blocks and columns, their terms."""
     yield Part(slot.name, np.ones(slot.shape, dtype=bool))
-    if slot.covariance:
+    if slot.named_parts is not None:
+        yield from slot.named_parts
+    elif slot.covariance:
         yield from _parts_of_covariance(slot)
     elif slot.shape[1] == 1:
         for k, row in enumerate(slot.rows):
-            yield Part(f"the {row} of {slot.name}", _mask(slot, (k,), (0,)))
+            yield Part(f"the {row} of {slot.name}", mask_of(slot.shape, (k,), (0,)))
     else:
         yield from _parts_of_matrix(slot)
 
 
-def _mask(slot: Slot, rows: tuple[int, ...], columns: tuple[int, ...]) -> Mask:
-    mask = np.zeros(slot.shape, dtype=bool)
-    mask[np.ix_(rows, columns)] = True
+def mask_of(shape: tuple[int, int], rows: Iterable[int], columns: Iterable[int]) -> Mask:
+    """Return (r, c) the terms in some rows and columns."""
+    mask = np.zeros(shape, dtype=bool)
+    mask[np.ix_(list(rows), list(columns))] = True
     return mask
 
 
 def _parts_of_matrix(slot: Slot) -> Iterator[Part]:
     every_row, every_column = (tuple(range(n)) for n in slot.shape)
     for k, row in enumerate(slot.rows):
-        yield Part(f"the {row} row of {slot.name}", _mask(slot, (k,), every_column))
+        yield Part(f"the {row} row of {slot.name}", mask_of(slot.shape, (k,), every_column))
     columns = {f"{name} block": at for name, at in slot.blocks.items()}
     columns |= {f"{name} column": (k,) for k, name in enumerate(slot.columns)}
     for name, at in columns.items():
-        yield Part(f"the {name} of {slot.name}", _mask(slot, every_row, at))
+        yield Part(f"the {name} of {slot.name}", mask_of(slot.shape, every_row, at))
     for k, row in enumerate(slot.rows):
         for name, at in columns.items():
             term = name.replace(" column", " term").replace(" block", " part")
-            yield Part(f"the {term} of the {row} row of {slot.name}", _mask(slot, (k,), at))
+            yield Part(f"the {term} of the {row} row of {slot.name}", mask_of(slot.shape, (k,), at))
 
 
 def _parts_of_covariance(slot: Slot) -> Iterator[Part]:
     for name, at in slot.blocks.items():
-        yield Part(f"the {name} block of {slot.name}", _mask(slot, at, at))
+        yield Part(f"the {name} block of {slot.name}", mask_of(slot.shape, at, at))
     for k, row in enumerate(slot.rows):
-        yield Part(f"{slot.name} of the {row}", _mask(slot, (k,), (k,)))
+        yield Part(f"{slot.name} of the {row}", mask_of(slot.shape, (k,), (k,)))
     for i, j in combinations(range(len(slot.rows)), 2):
         pair = f"the covariance of {slot.rows[i]} and {slot.rows[j]} in {slot.name}"
-        yield Part(pair, _mask(slot, (i,), (j,)) | _mask(slot, (j,), (i,)))
+        yield Part(pair, mask_of(slot.shape, (i,), (j,)) | mask_of(slot.shape, (j,), (i,)))
 
 
 def compositions(slot: Slot, like: Values) -> Iterator[Composition]:
@@ -212,27 +222,38 @@ def compositions(slot: Slot, like: Values) -> Iterator[Composition]:
         slot: What is changed.
         like: Values with the same factors and elsewhere: what there is to make faults of.
     """
+    yield from single_changes(slot, like)
+    for structure in _structures(slot, like):
+        for part in parts(slot):
+            yield _also_negated(structure, part)
+    yield from numbered_changes(slot)
+
+
+def single_changes(slot: Slot, like: Values) -> Iterator[Composition]:
+    """Yield the faults of a slot that are one change without a number."""
     shapes = list(parts(slot))
     for part in shapes:
         yield from _of_terms(slot, part)
-    for structure in _structures(slot, like):
-        yield structure
+    yield from _structures(slot, like)
     for words in like.elsewhere:
         for part in shapes:
             yield _elsewhere(slot, part, words)
     for part in shapes:
         for factor in like.factors:
             yield from _by_factor(slot, part, factor)
-    for structure in _structures(slot, like):
-        for part in shapes:
-            yield _also_negated(structure, part)
-    for part in shapes:
+
+
+def numbered_changes(slot: Slot) -> Iterator[Composition]:
+    """Yield the faults of a slot that have a number."""
+    for part in parts(slot):
         yield Composition(
             slot, "times", times(part.words), _times(part.mask), (1.0,), mask=part.mask
         )
-    for part in shapes:
-        said = f"{part.words} has {{0:+.4g}} added"
-        yield Composition(slot, "plus", said, _plus(part.mask), (0.0,), mask=part.mask)
+    for part in parts(slot):
+        on_diagonal = slot.covariance and bool(part.mask.diagonal().any())
+        said = f"{part.words} has {{0:+.4g}} added{' on its diagonal' if on_diagonal else ''}"
+        plus = _plus_on_diagonal if on_diagonal else _plus
+        yield Composition(slot, "plus", said, plus(part.mask), (0.0,), mask=part.mask)
 
 
 def _within(mask: Mask, sound: Array, changed: Array) -> Array:
@@ -248,6 +269,10 @@ def _plus(mask: Mask) -> Callable[[Values, float], Array]:
     return lambda values, more: _within(mask, values.sound, values.sound + more)
 
 
+def _plus_on_diagonal(mask: Mask) -> Callable[[Values, float], Array]:
+    return lambda values, more: values.sound + more * (mask & np.eye(len(mask), dtype=bool))
+
+
 def _of_terms(slot: Slot, part: Part) -> Iterator[Composition]:
     """Changes of each term by itself, or of variances."""
     mask = part.mask
@@ -259,8 +284,13 @@ def _of_terms(slot: Slot, part: Part) -> Iterator[Composition]:
         )  # fmt: skip
 
     yield made("zero", "is zero", np.zeros_like)
-    if not slot.covariance or not mask.diagonal().any():
+    on_diagonal = slot.shape[0] == slot.shape[1] and bool(mask.diagonal().any())
+    variances = slot.covariance and on_diagonal
+    if not variances or slot.named_parts:
         yield made("negated", "has the opposite sign", np.negative)
+    if slot.named_parts and on_diagonal and not slot.covariance and not mask.all():
+        yield made("identity", "is as in the identity", lambda v: np.eye(v.shape[-1]))
+    if not variances:
         return
     diagonal = np.eye(len(slot.rows))
     yield made("root", "contains sigma instead of sigma squared",
@@ -269,6 +299,10 @@ def _of_terms(slot: Slot, part: Part) -> Iterator[Composition]:
     if mask.all():
         yield made("diagonal", "lacks its covariances", lambda v: v * diagonal)
         yield made("inverse", "is inverted, as information", _inverted)
+        yield made("product", "is multiplied by itself", lambda v: v @ v)
+        yield made("factor", "is its Cholesky factor L, not L L^T", _cholesky)
+        yield made("order of factors", "is L^T L, not L L^T, of its Cholesky factor L",
+                   lambda v: _cholesky(v).mT @ _cholesky(v))  # fmt: skip
 
 
 def _inverted(covariance: Array) -> Array:
@@ -276,6 +310,19 @@ def _inverted(covariance: Array) -> Array:
         singular = np.linalg.cond(covariance) > 1.0 / np.finfo(float).eps
     safe = np.where(singular[:, None, None], np.eye(covariance.shape[-1]), covariance)
     return np.where(singular[:, None, None], np.nan, np.linalg.inv(safe))
+
+
+def _cholesky(covariance: Array) -> Array:
+    """Factors L (N, r, r), NaN where a covariance has none."""
+    symmetric = 0.5 * (covariance + covariance.mT)
+    return np.stack([_factor(one) for one in symmetric]) if len(symmetric) else symmetric
+
+
+def _factor(covariance: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.cholesky(covariance))
+    except np.linalg.LinAlgError:
+        return np.full_like(covariance, np.nan)
 
 
 def _elsewhere(slot: Slot, part: Part, words: str) -> Composition:
@@ -310,6 +357,14 @@ def _structures(slot: Slot, like: Values) -> Iterator[Composition]:
     if rows == columns and not slot.covariance:
         yield Composition(slot, "transposed", f"{slot.name} is transposed", lambda v: v.sound.mT)
         yield Composition(slot, "identity", f"{slot.name} is the identity", _identity)
+        words = f"{slot.name} lacks what is off its diagonal"
+        diagonal = np.eye(rows)
+        yield Composition(slot, "diagonal", words, lambda v: v.sound * diagonal)
+        words = f"{slot.name} has the opposite sign off its diagonal"
+        signs = 2.0 * diagonal - 1.0
+        yield Composition(slot, "negated off the diagonal", words, lambda v: v.sound * signs)
+        inverted = f"{slot.name} is inverted"
+        yield Composition(slot, "inverse", inverted, lambda v: _inverted(v.sound))
     for name, at in slot.blocks.items():
         if len(at) == rows < columns:
             words = f"the {name} block of {slot.name} is transposed"
@@ -329,6 +384,8 @@ def _structures(slot: Slot, like: Values) -> Iterator[Composition]:
 def _exchanges(slot: Slot) -> Iterator[Composition]:
     """Two rows, two columns, or two terms of a column have changed places."""
     rows, columns = slot.shape
+    if slot.named_parts == () or rows > _MOST_EXCHANGED:
+        return
     every_row, every_column = np.arange(rows), np.arange(columns)
     for i, j in combinations(range(rows), 2):
         order, pair = _exchanged(rows, i, j), f"{slot.rows[i]} and {slot.rows[j]}"
@@ -342,7 +399,7 @@ def _exchanges(slot: Slot) -> Iterator[Composition]:
         )
         for k, column in enumerate(slot.columns if columns > 1 else ()):
             words = f"the {pair} terms in the {column} column of {slot.name} are exchanged"
-            terms = _reordered(order, every_column, _mask(slot, (i, j), (k,)))
+            terms = _reordered(order, every_column, mask_of(slot.shape, (i, j), (k,)))
             yield Composition(slot, "exchanged", words, terms)
     for i, j in combinations(range(0 if slot.covariance else columns), 2):
         words = f"the columns of {slot.columns[i]} and {slot.columns[j]} in {slot.name}"

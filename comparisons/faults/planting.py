@@ -129,10 +129,6 @@ def _sound_measurements() -> dict[Slot, Values]:
     z = np.column_stack((rng.uniform(2.0, 20.0, _SAMPLES), rng.uniform(-1.0, 1.0, _SAMPLES)))
     new, new_of_old = model.invert(pose, z), model.invert(old, z)
     seen, seen_of_old = (model.predict(at, new.landmark) for at in (pose, old))
-    joint, joint_of_old = (
-        np.concatenate((one.jacobian_pose, one.jacobian_landmark), axis=2)
-        for one in (seen, seen_of_old)
-    )
     noise = np.array((0.04, 0.01)) * np.eye(2) * rng.uniform(1.0, 2.0, (_SAMPLES, 1, 1))
     innovation = rng.standard_normal((_SAMPLES, 2, 1))
     way = (new.landmark - pose[:2])[:, :, None]
@@ -143,7 +139,7 @@ def _sound_measurements() -> dict[Slot, Values]:
         return Values(sound=sound, factors=factors, elsewhere=elsewhere)
 
     return {
-        H: of(joint, joint_of_old),
+        H: of(_joint(seen), _joint(seen_of_old)),
         R: of(noise),
         EXPECTED: of(seen.z[:, :, None]),
         INNOVATION: Values(sound=innovation),
@@ -176,23 +172,25 @@ def planted(fault: Composition, *numbers: float) -> Plant:
     def changed(values: Values) -> Array:
         return fault.values(values, *numbers)
 
-    made = {
-        **dict.fromkeys(STEPS, _in_step),
-        **dict.fromkeys((H, EXPECTED), _in_prediction),
-        **dict.fromkeys((G_X, G_Z, PLACE), _in_inverse),
-    }
     if fault.slot is INNOVATION:
         return observing(
             innovation=lambda sound, z, z_hat: changed(
                 Values(sound=sound(z, z_hat)[:, :, None])
             )[:, :, 0]
         )  # fmt: skip
-    if fault.slot is R:
-        return _in_noise(changed)
-    return remembering(lambda: made[fault.slot](fault.slot, changed))
+    made = {
+        **dict.fromkeys(STEPS, _in_control),
+        F: _in_step,
+        H: _in_prediction,
+        EXPECTED: _in_expected,
+        R: _in_noise,
+        PLACE: _in_place,
+        **dict.fromkeys((G_X, G_Z), _in_inverse),
+    }
+    return remembering(lambda: made[fault.slot](fault, changed))
 
 
-def _in_noise(changed: Changed) -> Plant:
+def _in_noise(fault: Composition, changed: Changed) -> Plant:
     def measured(sound: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
         z, noise = sound(z, sigma)
         return z, changed(Values(sound=noise, factors={RANGE: z[:, 0]}))
@@ -200,65 +198,95 @@ def _in_noise(changed: Changed) -> Plant:
     return observing(measured=measured)
 
 
-def _in_step(slot: Slot, changed: Changed) -> Plant:
+def _in_control(fault: Composition, changed: Changed) -> Plant:
+    def step(sound: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        moved: MotionStep = sound(pose, control, duration_s)
+        values = Values(
+            sound=moved.jacobian_control[None],
+            factors={INTERVAL: np.array([duration_s])},
+            heading=np.array([pose[2]]),
+        )
+        return moved._replace(jacobian_control=changed(values)[0])
+
+    return moving(step)
+
+
+def _in_step(fault: Composition, changed: Changed) -> Plant:
     last: list[Array] = []
 
     def step(sound: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
         moved: MotionStep = sound(pose, control, duration_s)
-        factors, heading = {INTERVAL: np.array([duration_s])}, np.array([pose[2]])
-        if slot is not F:
-            values = Values(sound=moved.jacobian_control[None], factors=factors, heading=heading)
-            return moved._replace(jacobian_control=changed(values)[0])
-        there = sound(np.append(pose[:2], moved.pose[2]), control, duration_s)
-        own = moved.jacobian_pose[None]
-        elsewhere = {AFTER: there.jacobian_pose[None], BEFORE: last[0] if last else own}
-        last[:] = [own.copy()]
-        values = Values(sound=own, factors=factors, elsewhere=elsewhere)
+        jacobian, elsewhere = moved.jacobian_pose[None], dict[str, Array]()
+        if fault.reads == AFTER:
+            there = sound(np.append(pose[:2], moved.pose[2]), control, duration_s)
+            elsewhere[AFTER] = there.jacobian_pose[None]
+        elif fault.reads == BEFORE:
+            elsewhere[BEFORE] = last[0] if last else jacobian
+            last[:] = [jacobian.copy()]
+        factors = {INTERVAL: np.array([duration_s])}
+        values = Values(sound=jacobian, factors=factors, elsewhere=elsewhere)
         return moved._replace(jacobian_pose=changed(values)[0])
 
     return moving(step)
 
 
-def _in_prediction(slot: Slot, changed: Changed) -> Plant:
-    last: list[Array] = []
-
+def _in_expected(fault: Composition, changed: Changed) -> Plant:
     def predict(sound: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        own: PredictedMeasurements = sound(pose, landmarks)
-        factors = {RANGE: own.z[:, 0]}
-        if slot is EXPECTED:
-            values = Values(sound=own.z[:, :, None], factors=factors)
-            return own._replace(z=changed(values)[:, :, 0])
-        old = sound(last[0] if last else pose, landmarks)
-        last[:] = [np.array(pose)]
-        joint, there = (
-            np.concatenate((one.jacobian_pose, one.jacobian_landmark), axis=2) for one in (own, old)
-        )
-        values = Values(sound=joint, factors=factors, elsewhere={OLD_POSE: there})
-        of_pose, of_landmark = np.split(changed(values), [3], axis=2)
-        return own._replace(jacobian_pose=of_pose, jacobian_landmark=of_landmark)
+        predicted: PredictedMeasurements = sound(pose, landmarks)
+        values = Values(sound=predicted.z[:, :, None], factors={RANGE: predicted.z[:, 0]})
+        return predicted._replace(z=changed(values)[:, :, 0])
 
     return observing(predict=predict)
 
 
-def _in_inverse(slot: Slot, changed: Changed) -> Plant:
+def _in_prediction(fault: Composition, changed: Changed) -> Plant:
     last: list[Array] = []
 
     def predict(sound: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        found: PredictedMeasurements = sound(pose, landmarks)
+        predicted: PredictedMeasurements = sound(pose, landmarks)
+        elsewhere = dict[str, Array]()
+        if fault.reads == OLD_POSE:
+            elsewhere[OLD_POSE] = _joint(sound(last[0] if last else pose, landmarks))
+            last[:] = [np.array(pose)]
+        factors = {RANGE: predicted.z[:, 0]}
+        values = Values(sound=_joint(predicted), factors=factors, elsewhere=elsewhere)
+        of_pose, of_landmark = np.split(changed(values), [3], axis=2)
+        return predicted._replace(jacobian_pose=of_pose, jacobian_landmark=of_landmark)
+
+    return observing(predict=predict)
+
+
+def _joint(predicted: PredictedMeasurements) -> Array:
+    """H (m, 2, 5) by the pose and the landmark."""
+    return np.concatenate((predicted.jacobian_pose, predicted.jacobian_landmark), axis=2)
+
+
+def _in_place(fault: Composition, changed: Changed) -> Plant:
+    def invert(sound: Any, pose: Array, z: Array) -> NewLandmarks:
+        new: NewLandmarks = sound(pose, z)
+        way = (new.landmark - pose[:2])[:, :, None]
+        heading = np.full(len(z), pose[2])
+        values = Values(sound=way, factors={RANGE: z[:, 0]}, heading=heading)
+        return new._replace(landmark=pose[:2] + changed(values)[:, :, 0])
+
+    return observing(invert=invert)
+
+
+def _in_inverse(fault: Composition, changed: Changed) -> Plant:
+    last: list[Array] = []
+    name = "jacobian_pose" if fault.slot is G_X else "jacobian_z"
+
+    def predict(sound: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        predicted: PredictedMeasurements = sound(pose, landmarks)
         last[:] = [np.array(pose)]
-        return found
+        return predicted
 
     def invert(sound: Any, pose: Array, z: Array) -> NewLandmarks:
-        own: NewLandmarks = sound(pose, z)
-        factors = {RANGE: z[:, 0]}
-        if slot is PLACE:
-            way = (own.landmark - pose[:2])[:, :, None]
-            values = Values(sound=way, factors=factors, heading=np.full(len(z), pose[2]))
-            return own._replace(landmark=pose[:2] + changed(values)[:, :, 0])
-        old: NewLandmarks = sound(last[0] if last else pose, z)
-        name = "jacobian_pose" if slot is G_X else "jacobian_z"
-        elsewhere = {OLD_POSE: getattr(old, name)}
-        values = Values(sound=getattr(own, name), factors=factors, elsewhere=elsewhere)
-        return own._replace(**{name: changed(values)})
+        new: NewLandmarks = sound(pose, z)
+        elsewhere = dict[str, Array]()
+        if fault.reads == OLD_POSE:
+            elsewhere[OLD_POSE] = getattr(sound(last[0] if last else pose, z), name)
+        values = Values(sound=getattr(new, name), factors={RANGE: z[:, 0]}, elsewhere=elsewhere)
+        return new._replace(**{name: changed(values)})
 
     return observing(predict=predict, invert=invert)

@@ -54,16 +54,14 @@ def fingerprints(
         for steps, other in _integrated(log)
         for order, by in ORDERS.items()
     ]
-    composed, numbered = composed_faults(log)
     found = search.through(ordered, search.faults, progress)
-    todo: tuple[tuple[bool, Iterable[Fault | Family]], ...] = (
-        (True, composed),
-        (False, families(log)),
-        (True, numbered),
-    )
-    for exactly, some in todo:
+    if not _exact(found):
+        composed, numbered = composed_faults(log)
+        found += search.through(ordered, composed, progress, exactly=True)
         if not _exact(found):
-            found += search.through(ordered, list(some), progress, exactly=exactly)
+            found += search.through(ordered, list(families(log)), progress)
+        if not _exact(found):
+            found += search.through(ordered, numbered, progress, exactly=True)
     if not _exact(found):
         known: list[Fault | Family] = [*search.faults, *families(log)]
         size = counts(prepared)

@@ -126,7 +126,9 @@ def changes_in_words() -> list[str]:
 
 
 def composed_faults_in_words() -> str:
-    """Return the grammar of faults: slots, changes, and who can name what."""
+    """Return the grammar of faults: slots, formulas, changes, and who can name what."""
+    from comparisons.faults.recipes import formulas_in_words
+
     rows = grammar_rows()
     lines = [
         _wrapped(
@@ -141,6 +143,17 @@ def composed_faults_in_words() -> str:
     for name, of_rows, columns, count, who in rows:
         by = f" by {columns}" if columns else ""
         lines.append(_wrapped(f"  {name} ({of_rows}{by}): {count}; {who}", 4))
+    lines += [
+        "",
+        _wrapped(
+            "Formulas of events (audit, and check of a trace with snapshots). Each matrix is a "
+            "slot, everywhere or in one place, and what a formula gives is one; a formula may lack "
+            "a factor or a term, or have another sign, transpose, inverse, order of brackets or "
+            "matrix:",
+            0,
+        ),
+    ]
+    lines += [_wrapped(f"  {name}: {text}", 4) for name, text in formulas_in_words().items()]
     lines += ["", "Who names them:"]
     lines += [_wrapped(f"  {who:<10}{words}", 12) for who, words in SEEN_BY.items()]
     lines += ["", "Changes, each of a part: all, a row, a column, a block, a term:"]

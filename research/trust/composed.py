@@ -31,6 +31,7 @@ from comparisons.faults.planting import planted, sound_values
 from comparisons.jobs.check import check
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
+from comparisons.words import Cause
 from ekf_reference.core.state import FilterDivergedError
 from research.script import options, present, print_head, print_row
 
@@ -105,8 +106,8 @@ def moved_sigma(sound: EkfRun, run: EkfRun) -> float:
     return float(np.nan_to_num(np.abs(run.estimate.pose - known.pose) / sigma, nan=0.0).max())
 
 
-def said_of_estimate(log: Log, run: EkfRun) -> list[str]:
-    """What `check` names of poses and covariances alone: faults, no symptoms."""
+def causes_of_estimate(log: Log, run: EkfRun) -> tuple[Cause, ...]:
+    """What `check` says of a run's poses and covariances alone."""
     known = run.estimate
     given = ExternalEstimate(
         time_s=known.time_s,
@@ -114,10 +115,15 @@ def said_of_estimate(log: Log, run: EkfRun) -> list[str]:
         pose_covariance=known.pose_covariance,
         information="filtered",
     )
-    found = check(log, given)
-    if not found.causes:
+    return check(log, given).causes
+
+
+def said_of_estimate(log: Log, run: EkfRun) -> list[str]:
+    """What `check` names of poses and covariances alone: faults, no symptoms."""
+    causes = causes_of_estimate(log, run)
+    if not causes:
         return [ACCEPTED]
-    return [one.evidence for one in found.causes if one.gap == "fault"]
+    return [cause.evidence for cause in causes if cause.gap == "fault"]
 
 
 def judged(one: DrawnFault, said: Sequence[str]) -> str:

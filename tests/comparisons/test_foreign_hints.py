@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from comparisons.checks.algebra import HINT
-from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
+from comparisons.explain.hypotheses import Quantity, instead, named, scaled
 from comparisons.faults.fault import Method, moving
 from comparisons.jobs.external_trace import TraceCheck
 from comparisons.jobs.run import Modified

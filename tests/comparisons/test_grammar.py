@@ -9,10 +9,8 @@ import pytest
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.time_window import cut_log
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.hypotheses import Quantity
 from comparisons.checks.diagnosis.known_model_errors import explain
-from comparisons.config import CheckConfig
-from comparisons.estimates.external import ExternalEstimate
+from comparisons.explain.hypotheses import Quantity
 from comparisons.explain.recorded import explained
 from comparisons.faults.grammar import (
     G_X,
@@ -30,11 +28,16 @@ from comparisons.faults.grammar import (
     parts,
 )
 from comparisons.faults.planting import PLANTED, has, sound_values
-from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.report.explain import explanation
-from research.trust.composed import DrawnFault, drawn, run_with, without_effect
+from research.trust.composed import (
+    DrawnFault,
+    causes_of_estimate,
+    drawn,
+    run_with,
+    without_effect,
+)
 from tests.helpers import present
 
 DRAWN = 40
@@ -134,14 +137,7 @@ def fault(slot: Slot, words: str) -> Composition:
 )  # fmt: skip
 def test_a_fault_is_named_without_a_trace(log: Log, slot: Slot, words: str) -> None:
     run = present(run_with(log, DrawnFault(fault(slot, words), ())))
-    known = run.estimate
-    given = ExternalEstimate(
-        time_s=known.time_s,
-        pose=known.pose,
-        pose_covariance=known.pose_covariance,
-        information="filtered",
-    )
-    (first, *_) = check(log, given, CheckConfig()).causes
+    (first, *_) = causes_of_estimate(log, run)
     assert (first.gap, first.evidence.partition(":")[0]) == ("fault", words)
 
 

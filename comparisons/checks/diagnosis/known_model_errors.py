@@ -12,15 +12,15 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.hypotheses import (
+from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
+from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
+from comparisons.explain.hypotheses import (
     EQUAL,
     Hypothesis,
     Quantity,
     instead,
     named,
 )
-from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
-from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
 from comparisons.explain.recorded import explained
 from comparisons.faults.grammar import POSITION, PRIOR, R_OF_POSITION, Values, times
 from comparisons.logs.log import Log
@@ -64,8 +64,6 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     )
     if not quantity.off().any():
         return
-    stated = Values(sound=log.prior.covariance[None])
-    composed = explained(PRIOR, quantity, stated, lambda values, rows: values / scale)
     have, meant = quantity.have.ravel(), quantity.meant.ravel()
     factor = float(have @ meant / (meant @ meant))  # one record: fitted over its entries
     limit = quantity.tolerance * max(1.0, abs(factor))
@@ -74,7 +72,12 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         yield "the prior's covariance contains sigma instead of sigma squared"
     elif np.abs(have - factor * meant).max() <= limit:
         yield times("the prior's covariance", "the log's")(factor)
-    elif composed:
+    elif composed := explained(
+        PRIOR,
+        quantity,
+        Values(sound=log.prior.covariance[None]),
+        lambda values, rows: values / scale,
+    ):
         yield from (line.partition(", in ")[0] for line in composed)
     else:
         for k, (name, _) in enumerate(_ENTRIES):

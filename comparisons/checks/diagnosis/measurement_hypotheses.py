@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
-from comparisons.checks.diagnosis.hypotheses import (
+from comparisons.explain.hypotheses import (
     EQUAL,
     Hypothesis,
     Quantity,
@@ -351,7 +351,7 @@ def _noise_hints(name: str, seen: _Seen, records: str) -> Iterator[str]:
         named(quantity.part(k, k), _variances(f"{name} of the {column}", sigma[:, k], seen.z[:, 0]))
         for k, column in enumerate(_COLUMNS)
     ]
-    slot = replace(R, name=name, records=records)
+    slot = replace(R, name=name)
     stated = Values(sound=sigma[:, :, None] ** 2 * _TWO, factors={"the range": seen.z_hat[:, 0]})
     composed = explained(
         slot, quantity, stated, lambda values, rows: values / size[rows]

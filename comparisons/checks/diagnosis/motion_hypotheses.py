@@ -13,7 +13,7 @@ from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
-from comparisons.checks.diagnosis.hypotheses import (
+from comparisons.explain.hypotheses import (
     EQUAL,
     Hypothesis,
     Quantity,

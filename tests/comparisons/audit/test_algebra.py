@@ -12,14 +12,15 @@ from comparisons.arrays import Array
 from comparisons.audit import algebra
 from comparisons.audit.algebra import AlgebraCheck, AuditFinding, faults_of
 from comparisons.audit.audit import Audit, audit
-from comparisons.audit.faults import PLAIN, digits, number_text
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE
+from comparisons.explain.events import PLAIN, digits
 from comparisons.faults.catalogue import NAMED
+from comparisons.faults.grammar import number_text
 from comparisons.jobs.check import ExternalCheck, check_external
 from comparisons.jobs.run import Comparison, Modified, repeat_filter
 from comparisons.pipeline.solve import solve
@@ -88,14 +89,14 @@ def handed_in(c: Comparison, folder: Path) -> ExternalCheck:
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("F transposed", "F was applied transposed"),
+        ("F transposed", "F is transposed"),
         (
             "cross-covariance dropped at prediction",
-            "F was not applied to the covariance with other blocks",
+            "the covariance of pose with all others is as before the event",
         ),
         (
             "cross-covariance dropped at update",
-            "the covariances of block pose with all others were not updated",
+            "the covariance of pose with all others is as before the event",
         ),
     ],
 )
@@ -207,31 +208,31 @@ def snapshot(number: int, p: Array, mean: Array | None = None) -> Snapshot:
 
 PLACE, SPEED, ALL = slice(0, 2), slice(2, 3), slice(None)
 DONE_WRONG: dict[str, tuple[Event, Callable[[Array], Array]]] = {
-    "the part of F that leads from block speed to place was left zero": (
+    "the part of F that leads from speed to place is zero": (
         MOVE,
         lambda p: predicted(p, changed(F, PLACE, SPEED, 0.0)),
     ),
-    "the part of F that leads from block speed to place has the wrong sign": (
+    "the part of F that leads from speed to place has the opposite sign": (
         MOVE,
         lambda p: predicted(p, changed(F, PLACE, SPEED, -F[:2, 2:])),
     ),
-    "the rows of block speed in F were taken as those of the identity": (
+    "the row block of speed in F is as in the identity": (
         MOVE,
         lambda p: predicted(p, changed(F, SPEED, ALL, [[0.0, 0.0, 1.0]])),
     ),
-    "the columns of block speed in F were taken as those of the identity": (
+    "the column block of speed in F is as in the identity": (
         MOVE,
         lambda p: predicted(p, changed(F, ALL, SPEED, [[0.0], [0.0], [1.0]])),
     ),
-    "the covariances of block bias with all others were then set to zero": (
+    "the covariance of bias with all others is zero": (
         MEASURE,
         lambda p: alone(updated(p)),
     ),
-    "0.02 was added to the covariance's diagonal": (
+    "the covariance has +0.02 added on its diagonal": (
         MEASURE,
         lambda p: updated(p) + 0.02 * np.eye(4),
     ),
-    "P - K (S - R) K^T: S lacks R": (MEASURE, lacking_r),
+    "S is H P H^T, not H P H^T + R, in the covariance alone": (MEASURE, lacking_r),
 }
 """What is said of an event, the event, and what it did to P."""
 
@@ -266,7 +267,7 @@ def test_a_number_that_somebody_has_written_has_few_digits(
 @pytest.mark.parametrize(
     ("most", "said"),
     [
-        (2, "event 1 (prediction): the process noise was not added"),
+        (2, "event 1 (prediction): Q is zero"),
         (1, "the covariance at event 3 is not that of the events before it"),
     ],
 )
@@ -330,7 +331,7 @@ def test_after_an_asymmetric_covariance_the_next_fault_is_named() -> None:
     found = faults_of(events, 1e-6)
     assert any("is asymmetric" in text for text in found)
     assert found[-1].startswith("event 4 (update of sensor `gps`): ")
-    assert "S lacks R" in found[-1]
+    assert "S is H P H^T, not H P H^T + R" in found[-1]
 
 
 def test_an_estimate_is_off_by_the_largest_of_its_numbers() -> None:
@@ -367,7 +368,7 @@ def test_a_gain_that_is_named_with_the_covariance_is_one_finding() -> None:
     check = checked(MEASURE._replace(gain=k), snapshot(3, P - k @ h @ P))
     check.end()
     (found,) = check.findings()
-    assert "gain and covariance are those of the square of R" in found.text
+    assert "gain and covariance are those where R is multiplied by itself" in found.text
     assert not check.optimal
 
 
@@ -416,7 +417,7 @@ def test_two_errors_that_explain_a_covariance_alike_are_both_named() -> None:
     """Without noise, a prediction that is left out is one without F, and nothing tells which."""
     still = MOVE._replace(noise=np.zeros((3, 3)))
     (text,) = faults_of((BEGIN, still, snapshot(2, P)), 1e-6)
-    assert "the covariance was not predicted, or F was not applied to the covariance" in text
+    assert "the covariance was not predicted, or F is the identity" in text
     (text,) = faults_of((BEGIN, MOVE, snapshot(2, P)), 1e-6)
     assert "the covariance was not predicted" in text
     assert ", or " not in text

@@ -152,24 +152,24 @@ def nothing_done(p: Array, before: Array) -> Array:
 
 ALL = "position velocity bias"
 FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
-    ("gps", stays("position", "bias"), "position bias", "position with bias was not updated"),
-    ("doppler", stays("bias", "bias"), "bias", "the covariance of block bias was not updated"),
+    ("gps", stays("position", "bias"), "position bias", "position with bias is as before"),
+    ("doppler", stays("bias", "bias"), "bias", "the row block of bias in K is zero"),
     ("gps", nothing_done, "position", "was not updated"),
-    ("gps", other_noise("gps", 0.25), "position", "0.25 R"),
+    ("gps", other_noise("gps", 0.25), "position", "R is 0.25 times"),
     ("gps", other_noise("gps", 0.5), "position", "updated twice"),
-    ("gps", without_r, "position", "P - K (S - R) K^T: S lacks R"),
+    ("gps", without_r, "position", "R is zero, in the form P - K S K^T"),
     ("doppler", not_redrawn, "velocity", "sigma points that were not drawn anew"),
-    ("predict", without_noise, ALL, "process noise was not added"),
+    ("predict", without_noise, ALL, "Q is zero"),
     ("predict", nothing_done, ALL, "was not predicted"),
-    ("predict", other_f(inverse), ALL, "the inverse of F was applied"),
-    ("predict", other_f(without_bias), "velocity bias", "leads from block bias to velocity was"),
-    ("predict", other_q(np.sqrt(Q)), ALL, "the square root of Q (sigma for variance) was added"),
-    ("predict", other_q(0.3 * Q), ALL, "the process noise was added 0.3 times"),
-    ("gps", scaled_gain(0.5), "position", "with 0.5 times Kalman's gain, in Joseph's form"),
-    ("gps", scaled_gain(0.5, short=True), "position", "with 0.5 times Kalman's gain"),
-    ("gps", added_khp, "position", "P + K H P, of the wrong sign"),
-    ("gps", lambda p, before: 1.02 * p, "position", "was multiplied by 1.02"),
-    ("clone", uncorrelated_clone, "clone position", "was not correlated"),
+    ("predict", other_f(inverse), ALL, "F is inverted"),
+    ("predict", other_f(without_bias), "velocity bias", "leads from bias to velocity is zero"),
+    ("predict", other_q(np.sqrt(Q)), ALL, "Q contains sigma instead of sigma squared"),
+    ("predict", other_q(0.3 * Q), ALL, "Q is 0.3 times the correct value"),
+    ("gps", scaled_gain(0.5), "position", "K is 0.5 times the correct value, in Joseph's form"),
+    ("gps", scaled_gain(0.5, short=True), "position", "K is 0.5 times the correct value"),
+    ("gps", added_khp, "position", "K has the opposite sign"),
+    ("gps", lambda p, before: 1.02 * p, "position", "is 1.02 times"),
+    ("clone", uncorrelated_clone, "clone position", "covariance with the others is zero"),
     ("remove", wrong_removal, "clone", "not marginalised"),
 ]
 """At which event, what becomes of P, the blocks that are named, and the words."""
@@ -319,8 +319,8 @@ def test_one_block_in_snapshots_is_enough_to_see_that_something_is_wrong(tmp_pat
 @pytest.mark.parametrize(
     ("factor", "short", "text"),
     [
-        (0.5, False, "the covariance was updated with 0.5 times Kalman's gain, in Joseph's form"),
-        (0.5, True, "the covariance was updated with 0.5 times Kalman's gain"),
+        (0.5, False, "K is 0.5 times the correct value, in Joseph's form"),
+        (0.5, True, "K is 0.5 times the correct value"),
         (0.5371, False, "the covariance of block position is off by"),
     ],
 )
@@ -370,10 +370,10 @@ def rounded(p: Array, before: Array, h: Array, r: Array) -> Array:
 @pytest.mark.parametrize(
     ("gain", "text"),
     [
-        (other_r, "uses the gain of the square of R (R is taken for sigma)"),
-        (unpredicted, "uses the gain of P before the last prediction"),
-        (without_inverse, "uses the gain of P H^T, without the inverse of S"),
-        (by_components, "uses the gain of S without what is off its diagonal"),
+        (other_r, "uses the gain of an update where R is multiplied by itself"),
+        (unpredicted, "uses the gain of an update where P is that before the event before"),
+        (without_inverse, "uses the gain of an update where K is P H^T, not P H^T S^-1"),
+        (by_components, "uses the gain of an update where S lacks its covariances"),
         (rounded, "has a gain that is not Kalman's on position, velocity (by"),
     ],
 )
@@ -392,7 +392,7 @@ def test_a_gain_of_another_matrix_is_named(
     [
         (
             lambda k, s, z, last: k @ s @ z,
-            "estimate by P H^T times residual, without the inverse of S",
+            "estimate by residual times the gain where K is P H^T, not P H^T S^-1",
         ),
         (lambda k, s, z, last: 2.0 * k @ z, "estimate of position, velocity twice"),
         (
@@ -760,7 +760,7 @@ def test_a_noise_that_is_no_covariance_comes_first_and_what_follows_from_it_is_n
         (
             True,
             False,
-            "event 4 (renewal of `bias`): F was not applied to the covariance with other blocks",
+            "event 4 (renewal of `bias`): the covariance of place with all others is as before",
         ),
     ],
 )

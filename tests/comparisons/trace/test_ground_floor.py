@@ -68,5 +68,5 @@ def test_audit_loads_no_planar_harness(module: str, tmp_path: Path) -> None:
     _faulty(trace)
     code = _AUDIT.format(trace=str(trace), out=str(tmp_path / "out"))
     found = _loaded(f"import {module}\n{code}" if module else code)
-    assert "comparisons.audit.faults" in found
+    assert "comparisons.faults.of_events" in found
     assert module in planar(found) if module else planar(found) == []

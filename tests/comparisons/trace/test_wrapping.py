@@ -122,7 +122,7 @@ def test_a_filter_of_ones_own_is_recorded(path: Path) -> None:
 def test_its_fault_is_found(path: Path) -> None:
     found = drive(Mine(forget=7), path)
     assert faults(found)
-    assert "was not updated" in found.findings[0].text
+    assert "the covariance was not updated" in found.findings[0].text
     assert found.findings[0].event == 2 + 4 * 7 + 2
 
 

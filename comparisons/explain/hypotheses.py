@@ -160,10 +160,35 @@ def _holds(
 
 
 def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float, ...] | None:
-    """Figures that fit the rows, None where none do, or the rows do not decide on them."""
-    figures = np.array(hypothesis.start)
-    if len(rows) < len(figures) + _SPARE and len(figures):
+    """Figures that fit the rows, None where none do, or the rows do not decide on them.
+
+    A figure by whose square the records differ has another least on the other side of its start.
+    """
+    start = np.array(hypothesis.start)
+    if len(rows) < len(start) + _SPARE and len(start):
         return None
+    figures = _least(quantity, hypothesis, rows, start)
+    fitted = _reproducing(quantity, hypothesis, figures, rows)
+    if fitted is not None or figures is None or len(start) != 1:
+        return fitted
+    other = _least(quantity, hypothesis, rows, 2.0 * start - figures)
+    return _reproducing(quantity, hypothesis, other, rows)
+
+
+def _reproducing(
+    quantity: Quantity, hypothesis: Hypothesis, figures: Array | None, rows: Index
+) -> tuple[float, ...] | None:
+    """Figures as they are reported, if they reproduce the rows."""
+    if figures is None:
+        return None
+    reported = tuple(np.where(np.abs(figures) < 1e-12, 0.0, figures).tolist())
+    with np.errstate(invalid="ignore"):
+        return reported if _holds(quantity, hypothesis, reported, rows) else None
+
+
+def _least(quantity: Quantity, hypothesis: Hypothesis, rows: Index, start: Array) -> Array | None:
+    """Figures that Gauss and Newton's method ends at; None where rows do not decide on them."""
+    figures = start
     begin = _least_turned(quantity, rows) if np.any(quantity.angle) else rows
     for k in range(_ITERATIONS if len(figures) else 0):
         some = begin if k < _ITERATIONS // 2 else rows
@@ -186,9 +211,7 @@ def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float
         small = np.abs(moved / size).max() <= 1e-13 * max(1.0, float(np.abs(figures).max()))
         if small and len(some) == len(rows):
             break
-    reported = tuple(np.where(np.abs(figures) < 1e-12, 0.0, figures).tolist())
-    with np.errstate(invalid="ignore"):
-        return reported if _holds(quantity, hypothesis, reported, rows) else None
+    return figures
 
 
 def _least_turned(quantity: Quantity, rows: Index) -> Index:

@@ -1,0 +1,305 @@
+"""Constants that residuals show: of a sensor's component, or of a prediction of an entry.
+
+An unknown constant enters the innovations linearly, through a recursion of its own beside the
+covariance: constants of all sensors and entries, from several events on, are fitted by weighted
+least squares in one pass (Willsky and Jones 1976, generalised likelihood ratio), each by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammaincc
+
+from comparisons.arrays import Array, Index
+from comparisons.audit.replay import BlockLayout, Replay
+from comparisons.explain.noises import (
+    AS_LIKELY,
+    LATER,
+    Factors,
+    RecordedStep,
+    with_noises,
+)
+from comparisons.trace.events import (
+    Augment,
+    Clone,
+    Event,
+    Predict,
+    Remove,
+    Reset,
+    TracePrior,
+    Update,
+)
+
+_MOST_SLOTS = 60
+_BEGINNINGS = 13
+"""Of a constant that is there from some event on: how many are tried at once, twice."""
+
+
+class OffsetSlot(NamedTuple):
+    """Where a constant may be.
+
+    Attributes:
+        of: A sensor, or a block of the state that predictions are of.
+        entry: Of its measurement, or of the block; -1 of all of a measurement alike.
+        is_predicted: It is of a block.
+        since: The event from which on it is there.
+    """
+
+    of: str
+    entry: int
+    is_predicted: bool
+    since: int = 0
+
+    def words(self, components: Sequence[str] = ()) -> str:
+        """Return what it is of. components: of the sensor, by name."""
+        if self.is_predicted:
+            return f"the prediction of {self.of}[{self.entry}]"
+        if self.entry < 0:
+            return f"sensor `{self.of}`"
+        named = self.entry < len(components)
+        which = components[self.entry] if named else f"component {self.entry}"
+        return f"{which} of sensor `{self.of}`"
+
+
+class Offset(NamedTuple):
+    """A constant that residuals show.
+
+    Attributes:
+        slot: Where.
+        value: What measurements are too large by; or predictions too small, in a second where
+            events have times, else at each.
+        sigma: Of the value.
+        gained: Of the likelihood's logarithm.
+        p_value: That chance shows as much, of all that were tried.
+        others: Where else as much is gained.
+        begun: Events, from one between which it is there.
+    """
+
+    slot: OffsetSlot
+    value: float
+    sigma: float
+    gained: float
+    p_value: float
+    others: tuple[OffsetSlot, ...] = ()
+    begun: tuple[int, int] = (0, 0)
+
+
+def fitted_offset(steps: Sequence[RecordedStep], factors: Factors, level: float) -> Offset | None:
+    """Return the constant that explains most, if chance does not.
+
+    Args:
+        steps: Of a trace, from its prior on.
+        factors: On its noises.
+        level: Share of sound traces for which one may be named.
+    """
+    slots = _slots(steps)
+    whole = _likeliest(steps, slots, factors)
+    best = None if whole is None else _begun(steps, slots, factors, whole)
+    return best if best is not None and best.p_value < level else None
+
+
+def _slots(steps: Sequence[RecordedStep]) -> list[OffsetSlot]:
+    """All places for a constant that is there from the beginning."""
+    slots: dict[OffsetSlot, None] = {}
+    layout = BlockLayout()
+    for event, _ in steps:
+        match event:
+            case TracePrior():
+                layout = BlockLayout(event.blocks, event.dims)
+            case Predict():
+                for block in event.blocks:
+                    for entry in range(layout.dims[block]):
+                        slots[OffsetSlot(block, entry, True)] = None
+            case Update():
+                size = len(event.residual)
+                for entry in range(-1 if size > 1 else 0, size):
+                    slots[OffsetSlot(event.sensor, entry, False)] = None
+            case _:
+                layout.follow(event)
+    return list(slots)[:_MOST_SLOTS]
+
+
+def _begun(
+    steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors, whole: Offset
+) -> Offset:
+    """The likeliest constant from some event on, if it explains far more than one of the whole."""
+    numbers = np.array([event.number for event, _ in steps])
+    best, low, high = whole, 0, len(numbers)
+    for of in (slots, None):
+        places = np.unique(np.linspace(low, high, _BEGINNINGS + 2, dtype=int)[1:-1])
+        tried = [best.slot] if of is None else of
+        later = [slot._replace(since=int(numbers[k])) for slot in tried for k in places]
+        found = _likeliest(steps, later, factors)
+        if found is None or found.gained < max(best.gained, whole.gained + LATER):
+            break
+        same = [one for one in found.others if _whole(one) == _whole(found.slot)]
+        beginnings = [one.since for one in (found.slot, *same)]
+        others = tuple(dict.fromkeys(_whole(one) for one in found.others if one not in same))
+        at, width = int(np.searchsorted(numbers, found.slot.since)), (high - low) // _BEGINNINGS
+        best = found._replace(others=others, begun=(min(beginnings), max(beginnings)))
+        low, high = max(0, at - width), min(len(numbers), at + width)
+    return best
+
+
+def _whole(slot: OffsetSlot) -> OffsetSlot:
+    return slot._replace(since=0)
+
+
+def _likeliest(
+    steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors
+) -> Offset | None:
+    """The constant that explains most by itself."""
+    information, weighted = _normal_equations(steps, slots, factors)
+    with np.errstate(all="ignore"):
+        gained = np.where(information > 0.0, 0.5 * weighted**2 / information, 0.0)
+    if not gained.size or not np.isfinite(gained).all() or not gained.max() > 0.0:
+        return None
+    k = int(np.argmax(gained))
+    ratio = float(gained[k])
+    alike = np.flatnonzero(gained > ratio - AS_LIKELY).tolist()
+    return Offset(
+        slots[k],
+        float(weighted[k] / information[k]),
+        float(information[k] ** -0.5),
+        ratio,
+        min(1.0, len(slots) * float(gammaincc(0.5, ratio))),
+        tuple(slots[i] for i in alike if i != k),
+    )
+
+
+def _normal_equations(
+    steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors
+) -> tuple[Array, Array]:
+    """(N,) sums of g^T S^-1 g and g^T S^-1 nu, of what N constants of one make of innovations."""
+    passed = _Sensitivities(slots)
+    with np.errstate(all="ignore"):
+        for step in with_noises(steps, factors):
+            passed.take(step)
+    return passed.information, passed.weighted
+
+
+class _Sensitivities:
+    """What constants of one make of the error of an estimate, (N, n), by Kalman's gain."""
+
+    def __init__(self, slots: Sequence[OffsetSlot]) -> None:
+        count = len(slots)
+        self.information, self.weighted = np.zeros(count), np.zeros(count)
+        self.replay: Replay
+        self.off = np.zeros((count, 0))
+        self.last_s: float | None = None
+        self.since = np.array([slot.since for slot in slots])
+        self.entry = np.array([slot.entry for slot in slots])
+        self.by_of: dict[tuple[str, bool], Index] = {}
+        for of in {(slot.of, slot.is_predicted) for slot in slots}:
+            members = [k for k, one in enumerate(slots) if (one.of, one.is_predicted) == of]
+            self.by_of[of] = np.array(members, dtype=np.intp)
+
+    def _there(self, of: str, event: Event, *, is_predicted: bool) -> Index:
+        """Which constants are of a sensor or block, and there at an event."""
+        members = self.by_of.get((of, is_predicted), np.empty(0, dtype=np.intp))
+        there: Index = members[self.since[members] <= event.number]
+        return there
+
+    def take(self, step: RecordedStep) -> None:
+        """Do an event."""
+        event = step.event
+        match event:
+            case TracePrior():
+                self.replay = Replay(event)
+                self.off = np.zeros((len(self.since), self.replay.layout.size))
+                return
+            case Update():
+                self._update(event)
+                return
+            case Predict() | Reset():
+                at = self.replay.layout.columns(event.blocks)
+                self.off[:, at] = self.off[:, at] @ event.jacobian.T
+            case Augment():
+                at = self.replay.layout.columns(event.blocks)
+                self.off = np.hstack((self.off, self.off[:, at] @ event.jacobian.T))
+            case Clone():
+                at = self.replay.layout.columns((event.source,))
+                self.off = np.hstack((self.off, self.off[:, at]))
+            case Remove():
+                gone = self.replay.layout.columns(event.blocks)
+                self.off = np.delete(self.off, np.arange(self.off.shape[1])[gone], axis=1)
+        self.replay.apply(event)
+        if step.applied is not None:
+            self.replay.mean -= step.applied
+        if isinstance(event, Predict):
+            self._begin(event)
+
+    def _begin(self, event: Predict) -> None:
+        """Add the constants of a prediction, times its interval where that is known."""
+        interval = interval_s(self.last_s, event.time_s)
+        self.last_s = event.time_s
+        for block in event.blocks:
+            there = self._there(block, event, is_predicted=True)
+            self.off[there, self.replay.layout.start[block] + self.entry[there]] += interval
+
+    def _update(self, event: Update) -> None:
+        """Add an update's innovations; all are fused, as in their likelihood."""
+        at = self.replay.layout.columns(event.blocks)
+        shown = self.off[:, at] @ event.jacobian.T
+        there = self._there(event.sensor, event, is_predicted=False)
+        there = there[self.entry[there] < len(event.residual)]
+        every = self.entry[there] < 0
+        shown[there[every]] += 1.0
+        shown[there[~every], self.entry[there[~every]]] += 1.0
+        fused = self.replay.update(event._replace(used=True))
+        whitened = shown @ fused.inverse_root.T
+        self.information += np.sum(whitened**2, axis=1)
+        self.weighted += whitened @ fused.whitened
+        self.off -= shown @ fused.gain.T
+
+
+def without_offsets(
+    steps: Iterable[RecordedStep], offsets: Sequence[Offset]
+) -> Iterator[RecordedStep]:
+    """Yield events without constants: of residuals taken off, of predictions added."""
+    if not offsets:
+        yield from steps
+        return
+    layout, last_s = BlockLayout(), None
+    for event, applied in steps:
+        there = [one for one in offsets if one.slot.since <= event.number]
+        step = RecordedStep(event, applied)
+        match event:
+            case TracePrior():
+                layout = BlockLayout(event.blocks, event.dims)
+            case Predict():
+                lacking = _lacking(event, there, layout) * interval_s(last_s, event.time_s)
+                step, last_s = RecordedStep(event, -lacking), event.time_s
+            case Update():
+                step = RecordedStep(_without(event, there), applied)
+            case _:
+                layout.follow(event)
+        yield step
+
+
+def _lacking(event: Predict, offsets: Sequence[Offset], layout: BlockLayout) -> Array:
+    """(n,) what a prediction lacks in a second."""
+    lacking = np.zeros(layout.size)
+    for slot, value, *_ in offsets:
+        if slot.is_predicted and slot.of in event.blocks:
+            lacking[layout.start[slot.of] + slot.entry] += value
+    return lacking
+
+
+def _without(event: Update, offsets: Sequence[Offset]) -> Update:
+    """A measurement without constants."""
+    residual = event.residual.copy()
+    for slot, value, *_ in offsets:
+        if not slot.is_predicted and slot.of == event.sensor:
+            residual[slot.entry if slot.entry >= 0 else slice(None)] -= value
+    return event._replace(residual=residual)
+
+
+def interval_s(before_s: float | None, time_s: float | None) -> float:
+    """Return a prediction's interval; 1 where there is none, so that what is of it is of each."""
+    if before_s is None or time_s is None or not time_s > before_s:
+        return 1.0
+    return time_s - before_s

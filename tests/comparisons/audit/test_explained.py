@@ -1,0 +1,149 @@
+"""Noises other than the stated ones: their likelihood by an oracle, and what is named of them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
+
+from comparisons.arrays import Array
+from comparisons.audit.audit import audit
+from comparisons.audit.replay import Replay
+from comparisons.explain.noises import (
+    NoiseFactor,
+    NoiseSlot,
+    RecordedStep,
+    log_likelihoods,
+    readings,
+    steps_of,
+    with_noises,
+)
+from comparisons.explain.offsets import OffsetSlot
+from comparisons.trace.events import Augment, Event, Predict, TracePrior, Update
+from research.trust.drawn_causes import LinearDrive, LinearFault
+
+RNG = np.random.default_rng(3)
+P0_OF_BIAS = NoiseSlot("P0", "bias")
+Q_OF_SPEED = NoiseSlot("Q", "speed")
+R_OF_RANGE = NoiseSlot("R", "range")
+R_OF_EAST = NoiseSlot("R", "gps", 0)
+LATER = Q_OF_SPEED._replace(since=5)
+FACTORS: tuple[dict[NoiseSlot, float], ...] = (
+    {},
+    {P0_OF_BIAS: 4.0},
+    {Q_OF_SPEED: 0.1, R_OF_RANGE: 3.0},
+    {R_OF_EAST: 7.0},
+    {LATER: 5.0},
+)
+
+
+def covariance(size: int, scale: float) -> Array:
+    root = RNG.standard_normal((size, size))
+    return np.asarray(scale * (0.3 * root @ root.T + np.eye(size)))
+
+
+STATE = ("place", "speed", "bias")
+EVERYTHING: tuple[Event, ...] = (
+    TracePrior(0, None, STATE, (2, 1, 1), covariance(4, 1.0)),
+    Predict(1, 0.1, STATE, RNG.standard_normal((4, 4)), covariance(4, 0.2)),
+    Update(2, 0.2, "gps", ("place",), RNG.standard_normal(2), np.eye(2), covariance(2, 0.3), True,
+           RNG.standard_normal(4), None),
+    Augment(3, 0.3, "tree", STATE, RNG.standard_normal((2, 4)), np.eye(2), covariance(2, 0.1)),
+    Predict(4, 0.4, ("speed", "bias"), RNG.standard_normal((2, 2)), covariance(2, 0.2)),
+    Update(5, 0.5, "range", ("tree", "bias"), RNG.standard_normal(1), RNG.standard_normal((1, 3)),
+           covariance(1, 0.3), True, RNG.standard_normal(6), None),
+    Predict(6, 0.6, STATE, RNG.standard_normal((4, 4)), covariance(4, 0.2)),
+    Update(7, 0.7, "range", STATE, RNG.standard_normal(1), RNG.standard_normal((1, 4)),
+           covariance(1, 0.3), False, None, None),
+)  # fmt: skip
+"""Whatever the corrections were: they are drawn."""
+
+
+def residuals_of(steps: Sequence[RecordedStep], drawn: Array) -> Array:
+    """Return all residuals, by the noises that are drawn: those of the prior, and of each event."""
+    at, residuals = 0, []
+    replay: Replay
+    for event, applied in steps:
+        if isinstance(event, TracePrior):
+            replay = Replay(event)
+            size = len(event.covariance)
+            replay.mean = drawn[:size].copy()
+            at = size
+            continue
+        assert isinstance(event, Predict | Update | Augment)
+        noise = drawn[at : at + len(event.noise)]
+        at += len(event.noise)
+        columns = replay.layout.columns(event.blocks)
+        if isinstance(event, Update):
+            residuals.append(event.jacobian @ replay.mean[columns] + noise)
+            replay.mean = replay.mean - (0.0 if applied is None else applied)
+            continue
+        replay.apply(event)
+        new = replay.layout.columns((event.name,) if isinstance(event, Augment) else event.blocks)
+        replay.mean[new] += noise
+    return np.concatenate(residuals)
+
+
+def dense(steps: Sequence[RecordedStep], factors: Mapping[NoiseSlot, float]) -> float:
+    """The logarithm of the residuals' density as one Gaussian, linear in all noises."""
+    noises = [
+        event.covariance if isinstance(event, TracePrior) else event.noise
+        for event, _ in with_noises(steps, factors)
+        if isinstance(event, TracePrior | Predict | Update | Augment)
+    ]
+    covariance = block_diag(*noises)
+    mean = residuals_of(steps, np.zeros(len(covariance)))
+    by_noise = np.array([residuals_of(steps, row) - mean for row in np.eye(len(covariance))])
+    measured = np.concatenate([e.residual for e, _ in steps if isinstance(e, Update)])
+    return float(multivariate_normal(mean, by_noise.T @ covariance @ by_noise).logpdf(measured))
+
+
+def test_the_likelihood_is_that_of_all_residuals_as_one_gaussian() -> None:
+    steps = list(steps_of(EVERYTHING))
+    recursive = log_likelihoods(steps, FACTORS)
+    oracle = np.array([dense(steps, factors) for factors in FACTORS])
+    assert np.ptp(oracle) > 0.1
+    np.testing.assert_allclose(np.diff(recursive), np.diff(oracle), rtol=1e-8)
+    # broken: the filter's corrections are forgotten
+    forgotten = [step._replace(applied=None) for step in steps]
+    assert not np.allclose(np.diff(log_likelihoods(forgotten, FACTORS)), np.diff(oracle), rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        LinearFault(NoiseSlot("Q", "speed"), 10.0, 0),
+        LinearFault(NoiseSlot("R", "gps"), 0.1, 0),
+        LinearFault(NoiseSlot("R", "gps", 1), 10.0, 150),
+        LinearFault(OffsetSlot("odometer", 0, False), 0.5, 150),
+        LinearFault(OffsetSlot("speed", 1, True), 0.3, 100),
+    ],
+)
+def test_what_is_not_as_stated_is_named(fault: LinearFault, tmp_path: Path) -> None:
+    LinearDrive(5, fault).record(tmp_path / "run.trace")
+    explained = audit(tmp_path / "run.trace").explained
+    assert explained is not None
+    first = explained.causes[0]
+    assert explained.fits
+    assert fault.is_named(first)
+    assert bool(first.slot.since) == bool(fault.since)
+
+
+def test_a_sound_filter_is_not_accused(tmp_path: Path) -> None:
+    for seed in range(6):
+        LinearDrive(seed, None).record(tmp_path / f"{seed}.trace")
+        assert audit(tmp_path / f"{seed}.trace").explained is None
+
+
+def test_what_may_have_been_written_is_within_the_interval() -> None:
+    steps = [RecordedStep(EVERYTHING[0], None)]
+    steps += [RecordedStep(Update(k, 0.1 * k, "range", ("bias",), np.zeros(1), np.eye(1),
+                                  np.array([[0.04]]), True, None, None), None)
+              for k in range(1, 4)]  # fmt: skip
+    sigma = NoiseFactor(R_OF_RANGE, 0.041, 9.0, 0.02, 0.08, 1e-6)
+    assert readings(sigma, steps) == ["as of a sigma where its square should be"]
+    squared = sigma._replace(factor=5.2, low=4.0, high=6.0)
+    assert readings(squared, steps) == ["as of a variance that was squared"]
+    assert readings(sigma._replace(low=0.05), steps) == []
