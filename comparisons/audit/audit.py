@@ -397,20 +397,20 @@ class _Pass:
     def _explain_innovations(
         self, departing: Iterable[Sequence[ConsistencyDeparture]], level: float
     ) -> ExplainedInnovations | None:
-        """Name noises and constants that explain what is off, where the algebra is sound.
+        """Name noises and constants that residuals ask for, where the algebra is sound.
 
-        Those that leave something are named, and are no fault by themselves. departing: what is
-        off, by sensor.
+        They are a fault where they explain all that is off. departing: what is off, by sensor.
         """
         algebra = self.algebra
-        off = any(each.fault for found in departing for each in found)
-        if not (off and algebra.sound and algebra.known and algebra.optimal):
+        if not (algebra.sound and algebra.known and algebra.optimal):
             return None
-        explained = explained_innovations(self.trace, self.trace.sensors, level)
+        is_off = any(each.fault for found in departing for each in found)
+        sensors = self.trace.sensors
+        explained = explained_innovations(self.trace, sensors, level, is_off=is_off)
         if explained is not None:
-            fits, what = explained.fits, explained.what
-            finding = AuditFinding("innovations", fits, what, None, sensor=explained.sensor)
-            algebra.add(finding, what, _FIRST if fits else 0.0)
+            is_fault, what = is_off and explained.fits, explained.what
+            finding = AuditFinding("innovations", is_fault, what, None, sensor=explained.sensor)
+            algebra.add(finding, what, _FIRST if is_fault else 0.0)
         return explained
 
     def _judge_innovations(

@@ -17,7 +17,7 @@ from scipy.special import bdtr, bdtrc, ndtr, rel_entr
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import BlockLayout, Fused, Replay
-from comparisons.explain.noises import RecordedStep
+from comparisons.explain.recorded_steps import RecordedStep
 from comparisons.innovations import (
     NO_SENSOR,
     Gating,

@@ -7,22 +7,20 @@ from itertools import islice
 from typing import NamedTuple
 
 from comparisons.audit.consistency import departures, step_innovations
-from comparisons.explain.noises import (
-    MOST_EVENTS,
-    Factors,
-    NoiseFactor,
-    NoiseSlot,
-    RecordedStep,
-    fitted_noise,
-    readings,
-    steps_of,
-    with_noises,
-)
-from comparisons.explain.offsets import Offset, fitted_offset, without_offsets
+from comparisons.explain.likeliest import Fitted, InnovationCause, likeliest_cause
+from comparisons.explain.noises import Factors, NoiseFactor, NoiseSlot, readings, with_noises
+from comparisons.explain.offsets import Offset, without_offsets
+from comparisons.explain.recorded_steps import RecordedStep, steps_of
 from comparisons.innovations import NO_SENSOR
 from comparisons.trace.events import Event, Predict, SensorDescription
 
 _MOST_CAUSES = 3
+_MOST_EVENTS = 20_000
+"""Of a trace, from its beginning, in which causes are sought."""
+_MOST_UNASKED = 2_000
+"""The same where nothing is off."""
+_NAMED = 1e-3
+"""Share of sound traces of which a cause may be named."""
 
 Sensors = Mapping[str, SensorDescription]
 
@@ -38,7 +36,7 @@ class ExplainedInnovations(NamedTuple):
 
     what: str
     fits: bool
-    causes: tuple[NoiseFactor | Offset, ...]
+    causes: tuple[InnovationCause, ...]
 
     @property
     def name(self) -> str:
@@ -54,7 +52,7 @@ class ExplainedInnovations(NamedTuple):
 
 
 def explained_innovations(
-    events: Iterable[Event], sensors: Sensors, level: float
+    events: Iterable[Event], sensors: Sensors, level: float, *, is_off: bool
 ) -> ExplainedInnovations | None:
     """Return what explains the innovations best; None if nothing is likelier than chance.
 
@@ -63,22 +61,21 @@ def explained_innovations(
     Args:
         events: Of a trace whose algebra is sound; of a long one gone through several times.
         sensors: What is known of them.
-        level: Share of sound traces for which a cause may be named.
+        level: Share of sound traces of which a figure may leave its band.
+        is_off: Whether a figure of theirs has left its band.
     """
-    steps = list(islice(steps_of(events), MOST_EVENTS))
-    is_whole = len(steps) < MOST_EVENTS
-    causes: list[NoiseFactor | Offset] = []
+    most = _MOST_EVENTS if is_off else _MOST_UNASKED
+    steps = list(islice(steps_of(events), most))
+    causes: list[InnovationCause] = []
     left: list[str] = []
     while len(causes) < _MOST_CAUSES and (left or not causes):
         factors, offsets = _of_kind(causes)
-        shifted = list(without_offsets(steps, offsets))
-        fitted = fitted_noise(shifted, factors, level), fitted_offset(shifted, factors, level)
-        better = [one for one in fitted if one is not None]
-        if not better:
+        cause = likeliest_cause(list(without_offsets(steps, offsets)), factors, _NAMED)
+        if cause is None:
             break
-        causes.append(max(better, key=lambda one: one.gained))
+        causes.append(cause)
         factors, offsets = _of_kind(causes)
-        every = steps if is_whole else steps_of(events)
+        every = steps if len(steps) < most else steps_of(events)
         after = step_innovations(with_noises(without_offsets(every, offsets), factors), sensors)
         left = [
             f"sensor `{one.sensor}`: {each.what}"
@@ -91,39 +88,45 @@ def explained_innovations(
     what = " and ".join(_said(one, steps, sensors) for one in causes)
     if left:
         what = f"residuals are likelier with {what}, but that leaves {left[0]}"
-    else:
+    elif is_off:
         what += ": with that nothing is off in the innovations"
+    else:
+        what = f"residuals are likelier with {what}, though no figure of theirs leaves its band"
     return ExplainedInnovations(what, not left, tuple(causes))
 
 
-def _of_kind(causes: Iterable[NoiseFactor | Offset]) -> tuple[Factors, list[Offset]]:
+def _of_kind(causes: Iterable[InnovationCause]) -> tuple[Factors, list[Offset]]:
     """Causes as factors on noises, and as constants."""
-    every = list(causes)
-    factors = {one.slot: one.factor for one in every if isinstance(one, NoiseFactor)}
-    return factors, [one for one in every if isinstance(one, Offset)]
+    fitted = [one.fitted for one in causes]
+    factors = {one.slot: one.factor for one in fitted if isinstance(one, NoiseFactor)}
+    return factors, [one for one in fitted if isinstance(one, Offset)]
 
 
-def _said(one: NoiseFactor | Offset, steps: list[RecordedStep], sensors: Sensors) -> str:
-    """A cause with its interval, what else explains as much, and what may have been written."""
-    slots = [
-        slot.words(sensors.get(slot.of, NO_SENSOR).components) for slot in (one.slot, *one.others)
-    ]
-    since = ""
-    if one.slot.since:
-        first, last = one.begun
+def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -> str:
+    """A cause with its interval, what may have been written, and what else explains as much."""
+    fitted, since = cause.fitted, ""
+    if fitted.slot.since:
+        first, last = cause.begun
         between = f" ({first:,} to {last:,})" if first != last else ""
-        since = f" from event {one.slot.since:,}{between} on"
-    others = "".join(f"; or another {other}" for other in dict.fromkeys(slots[1:]))
-    rare = f"p = {one.p_value:.1g}{others}"
-    if isinstance(one, Offset):
-        low, high = one.value - 1.96 * one.sigma, one.value + 1.96 * one.sigma
-        unit = ""
-        if one.slot.is_predicted:
-            timed = all(e.time_s is not None for e, _ in steps if isinstance(e, Predict))
-            unit = " per second" if timed else " each time"
-        text = f"a constant {one.value:+.3g}{unit} in {slots[0]}"
-        return f"{text}{since} ({low:.3g} to {high:.3g}, {rare})"
-    text = f"{slots[0]} {one.factor:.3g} times the stated one{since}"
-    written = readings(one, steps)
-    text += f" ({one.low:.3g} to {one.high:.3g}, {rare})"
-    return text + (f", {' or '.join(written)}" if written else "")
+        since = f" from event {fitted.slot.since:,}{between} on"
+    text, interval = _with_number(fitted, steps, sensors)
+    text += f"{since} ({interval}, p = {cause.p_value:.1g})"
+    if isinstance(fitted, NoiseFactor) and (written := readings(fitted, steps)):
+        text += f", {' or '.join(written)}"
+    others = (_with_number(one, steps, sensors)[0] for one in cause.others)
+    return text + "".join(f", or {other}" for other in others)
+
+
+def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) -> tuple[str, str]:
+    """A cause with its number, and the interval of that."""
+    slot = fitted.slot
+    words = slot.words(sensors.get(slot.of, NO_SENSOR).components)
+    if isinstance(fitted, NoiseFactor):
+        text = f"{words} {fitted.factor:.3g} times the stated one"
+        return text, f"{fitted.low:.3g} to {fitted.high:.3g}"
+    low, high = fitted.value - 1.96 * fitted.sigma, fitted.value + 1.96 * fitted.sigma
+    unit = ""
+    if fitted.slot.is_predicted:
+        timed = all(e.time_s is not None for e, _ in steps if isinstance(e, Predict))
+        unit = " per second" if timed else " each time"
+    return f"a constant {fitted.value:+.3g}{unit} in {words}", f"{low:.3g} to {high:.3g}"

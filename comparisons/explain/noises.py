@@ -14,10 +14,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaincc
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import BlockLayout, Replay, square
+from comparisons.audit.replay import BlockLayout, square
+from comparisons.explain.recorded_steps import RecordedStep
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -30,19 +30,13 @@ from comparisons.trace.events import (
     Update,
 )
 
-MOST_EVENTS = 20_000
-"""Of a trace, from its beginning, that are looked at."""
 _GRID = tuple(float(np.log(x)) for x in (0.01, 0.1, 0.25, 0.5, 2.0, 4.0, 10.0, 100.0))
 """Logarithms of factors, between which the likeliest is sought."""
 _STEPS = (0.4, 0.1, 0.03)
 """Of the logarithm, about the likeliest one, by which it is found and its interval measured."""
-_BEGINNINGS = 12
-"""Of a noise that is another from some event on: how many are tried at once, twice."""
-LATER = 6.0
-"""By how much more the likelihood's logarithm must gain from some event on than of the whole."""
-AS_LIKELY = 3.0
-"""Difference of logarithms of likelihoods, within which another factor is as good."""
-_MOST_SLOTS, _MOST_COMPONENTS = 40, 6
+_LARGEST = 50.0
+"""Logarithm at which an interval ends at the latest."""
+_MOST_SLOTS, _MOST_COMPONENTS = 100, 6
 """Stated noises that are looked at, and components of a measurement that are looked at by one."""
 
 
@@ -73,54 +67,35 @@ class NoiseSlot(NamedTuple):
         """Whether it is what an event's noise is of. number: the event's."""
         return self.matrix == matrix and self.of == of and number >= self.since
 
+    def touches(self, event: Event) -> bool:
+        """Whether an event has this noise, whenever it begins."""
+        match event:
+            case Predict():
+                return self.matrix == "Q" and self.of in event.blocks
+            case Update():
+                return self.matrix == "R" and self.of == event.sensor
+        return False
+
 
 class NoiseFactor(NamedTuple):
     """A noise that residuals show.
 
     Attributes:
         slot: Which.
-        factor: Of the stated one; of a variance, not of a sigma.
         gained: Of the likelihood's logarithm.
+        factor: Of the stated one; of a variance, not of a sigma.
         low: Where its 95 % interval begins.
         high: Where it ends.
-        p_value: That chance makes residuals of the stated noise as likely, of all that were tried.
-        others: What makes them as likely.
-        begun: Events, from one between which it is another.
     """
 
     slot: NoiseSlot
-    factor: float
     gained: float
+    factor: float
     low: float
     high: float
-    p_value: float
-    others: tuple[NoiseSlot, ...] = ()
-    begun: tuple[int, int] = (0, 0)
-
-
-class RecordedStep(NamedTuple):
-    """An event, and what the estimate was moved by that the event does not say: (n,), or None.
-
-    Of an update it is the filter's correction; of a prediction, a constant that it lacks.
-    """
-
-    event: Event
-    applied: Array | None
 
 
 Factors = Mapping[NoiseSlot, float]
-
-
-def steps_of(events: Iterable[Event]) -> Iterator[RecordedStep]:
-    """Yield events, the prior first, with the filter's corrections: recorded, or by its gain."""
-    replay: Replay
-    for event in events:
-        if isinstance(event, TracePrior):
-            replay = Replay(event)
-            yield RecordedStep(event, None)
-            continue
-        done = replay.apply(event)
-        yield RecordedStep(event, None if done is None else done.applied)
 
 
 def with_noises(steps: Iterable[RecordedStep], factors: Factors) -> Iterator[RecordedStep]:
@@ -173,10 +148,10 @@ def _stated(slot: NoiseSlot, steps: Sequence[RecordedStep]) -> Iterator[Array]:
                 if slot.matrix == "P0":
                     yield _of_block(event.covariance, event.blocks, layout.dims, slot.of)
             case Predict():
-                if _is_of_event(slot, event):
+                if slot.touches(event):
                     yield _of_block(event.noise, event.blocks, layout.dims, slot.of)
             case Update():
-                if _is_of_event(slot, event):
+                if slot.touches(event):
                     component = slot.component if slot.component >= 0 else slice(None)
                     yield np.atleast_1d(event.noise.diagonal()[component])
             case _:
@@ -189,52 +164,42 @@ def _of_block(noise: Array, blocks: Blocks, dims: Mapping[str, int], block: str)
     return np.split(noise.diagonal(), ends[:-1])[blocks.index(block)]
 
 
-def fitted_noise(steps: Sequence[RecordedStep], known: Factors, level: float) -> NoiseFactor | None:
-    """Return the factor on a stated noise that residuals ask for most, if chance does not.
+def fitted_noises(
+    steps: Sequence[RecordedStep], slots: Sequence[NoiseSlot], known: Factors
+) -> list[NoiseFactor]:
+    """Return the likeliest factor of each slot by itself.
 
     Args:
         steps: Of a trace, from its prior on.
+        slots: Which noises, from when on.
         known: Factors that are there already.
-        level: Share of sound traces for which one may be named.
     """
-    slots = [slot for slot in _slots(steps) if all(slot != one._replace(since=0) for one in known)]
-    whole = _likeliest(steps, slots, known)
-    if whole is None or not whole.p_value < level:
-        return None
-    return _begun(steps, whole, known)
+    if not slots:
+        return []
+    tried = [(slot, log) for slot in slots for log in _GRID]
+    logs = log_likelihoods(steps, [known, *({**known, s: float(np.exp(x))} for s, x in tried)])
+    neutral, by_slot = float(logs[0]), logs[1:].reshape(len(slots), -1)
+    peaks = np.array(_GRID)[by_slot.argmax(axis=1)]
+    values, bends = by_slot.max(axis=1), np.zeros(len(slots))
+    for step in _STEPS:
+        around = [(s, x + k * step) for s, x in zip(slots, peaks, strict=True) for k in (-1, 0, 1)]
+        made = log_likelihoods(steps, [{**known, s: float(np.exp(x))} for s, x in around])
+        low, middle, high = made.reshape(-1, 3).T
+        with np.errstate(all="ignore"):
+            bends = (low - 2.0 * middle + high) / step**2
+            slope = (high - low) / (2.0 * step)
+            moves = np.where(bends < 0.0, -slope / bends, np.sign(slope) * step)
+        peaks = peaks + np.nan_to_num(np.clip(moves, -2.0 * step, 2.0 * step))
+        values = made.reshape(-1, 3).max(axis=1)
+    widths = 1.96 / np.sqrt(np.maximum(-np.nan_to_num(bends), 1e-12))
+    ends = np.exp((peaks, peaks - widths, np.minimum(peaks + widths, _LARGEST)))
+    gained = np.maximum(values - neutral, 0.0)
+    columns = zip(slots, gained.tolist(), *ends.tolist(), strict=True)
+    return [NoiseFactor(slot, *row) for slot, *row in columns]
 
 
-def _begun(steps: Sequence[RecordedStep], whole: NoiseFactor, known: Factors) -> NoiseFactor:
-    """A factor from the event on from which it is likeliest, if it is not the whole trace's."""
-    slot, best = whole.slot, whole
-    numbers = [event.number for event, _ in steps if _is_of_event(slot, event)]
-    low, high = 0, len(numbers)
-    for _ in range(2 if numbers else 0):
-        places = np.unique(np.linspace(low, high, _BEGINNINGS + 2, dtype=int)[1:-1]).tolist()
-        later = [slot._replace(since=numbers[k]) for k in places]
-        found = _likeliest(steps, later, known) if later else None
-        if found is None or found.gained < max(best.gained, whole.gained + LATER):
-            break
-        width = max(1, (high - low) // (_BEGINNINGS + 1))
-        at = numbers.index(found.slot.since)
-        beginnings = [one.since for one in (found.slot, *found.others)]
-        begun = min(beginnings), max(beginnings)
-        best = found._replace(others=whole.others, begun=begun)
-        low, high = max(0, at - width), min(len(numbers), at + width)
-    return best
-
-
-def _is_of_event(slot: NoiseSlot, event: Event) -> bool:
-    match event:
-        case Predict():
-            return slot.matrix == "Q" and slot.of in event.blocks
-        case Update():
-            return slot.matrix == "R" and slot.of == event.sensor
-    return False
-
-
-def _slots(steps: Sequence[RecordedStep]) -> list[NoiseSlot]:
-    """Stated noises of a trace that are not zero."""
+def noise_slots(steps: Sequence[RecordedStep]) -> list[NoiseSlot]:
+    """Return the stated noises of a trace that are not zero."""
     slots: dict[NoiseSlot, None] = {}
     layout = BlockLayout()
     widths: dict[str, set[int]] = {}
@@ -263,49 +228,6 @@ def _not_zero(
     variances = np.split(noise.diagonal(), np.cumsum([dims[block] for block in blocks])[:-1])
     pairs = zip(blocks, variances, strict=True)
     return {NoiseSlot(matrix, block): None for block, one in pairs if one.any()}
-
-
-def _likeliest(
-    steps: Sequence[RecordedStep], slots: Sequence[NoiseSlot], known: Factors
-) -> NoiseFactor | None:
-    """The factor, on top of known ones, that makes residuals likeliest; None if none is better."""
-    tried = [(slot, log) for slot in slots for log in _GRID]
-    logs = log_likelihoods(steps, [known, *({**known, s: float(np.exp(x))} for s, x in tried)])
-    neutral = float(logs[0])
-    by_slot = {
-        slot: max((value, log) for (of, log), value in zip(tried, logs[1:].tolist(), strict=True)
-                  if of == slot)
-        for slot in slots
-    }  # fmt: skip
-    best = max((value for value, _ in by_slot.values()), default=-np.inf)
-    if not best > neutral:
-        return None
-    near = [slot for slot, (value, _) in by_slot.items() if value > best - 0.5 * (best - neutral)]
-    peaks = {slot: by_slot[slot][1] for slot in near}
-    curvature: dict[NoiseSlot, float] = {}
-    values: dict[NoiseSlot, float] = {}
-    for step in _STEPS:
-        around = [(slot, log + k * step) for slot, log in peaks.items() for k in (-1, 0, 1)]
-        made = log_likelihoods(steps, [{**known, s: float(np.exp(x))} for s, x in around])
-        for slot, (low, middle, high) in zip(peaks, made.reshape(-1, 3).tolist(), strict=True):
-            bend = (low - 2.0 * middle + high) / step**2
-            move = -(high - low) / (2.0 * step) / bend if bend < 0.0 else np.sign(high - low) * step
-            peaks[slot] += float(np.clip(move, -2.0 * step, 2.0 * step))
-            curvature[slot], values[slot] = bend, max(low, middle, high)
-    most = max(values.values())
-    alike = [slot for slot, value in values.items() if value > most - AS_LIKELY]
-    slot = max(alike, key=lambda one: (one.component < 0, values[one]))
-    width = 1.96 / np.sqrt(max(-curvature[slot], 1e-12))
-    ratio = max(values[slot] - neutral, 0.0)
-    return NoiseFactor(
-        slot,
-        float(np.exp(peaks[slot])),
-        ratio,
-        float(np.exp(peaks[slot] - width)),
-        float(np.exp(peaks[slot] + width)),
-        min(1.0, len(slots) * float(gammaincc(0.5, ratio))),
-        tuple(one for one in alike if one != slot),
-    )
 
 
 def log_likelihoods(steps: Sequence[RecordedStep], noises: Sequence[Factors]) -> Array:

@@ -1,7 +1,7 @@
 """Constants that residuals show: of a sensor's component, or of a prediction of an entry.
 
 An unknown constant enters the innovations linearly, through a recursion of its own beside the
-covariance: constants of all sensors and entries, from several events on, are fitted by weighted
+covariance: constants of many sensors and entries, each from some event on, are fitted by weighted
 least squares in one pass (Willsky and Jones 1976, generalised likelihood ratio), each by itself.
 """
 
@@ -11,17 +11,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaincc
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import BlockLayout, Replay
-from comparisons.explain.noises import (
-    AS_LIKELY,
-    LATER,
-    Factors,
-    RecordedStep,
-    with_noises,
-)
+from comparisons.explain.noises import Factors, with_noises
+from comparisons.explain.recorded_steps import RecordedStep
 from comparisons.trace.events import (
     Augment,
     Clone,
@@ -33,9 +27,7 @@ from comparisons.trace.events import (
     Update,
 )
 
-_MOST_SLOTS = 60
-_BEGINNINGS = 13
-"""Of a constant that is there from some event on: how many are tried at once, twice."""
+_MOST_SLOTS = 150
 
 
 class OffsetSlot(NamedTuple):
@@ -63,46 +55,53 @@ class OffsetSlot(NamedTuple):
         which = components[self.entry] if named else f"component {self.entry}"
         return f"{which} of sensor `{self.of}`"
 
+    def touches(self, event: Event) -> bool:
+        """Whether an event may show this constant, whenever it begins."""
+        match event:
+            case Predict():
+                return self.is_predicted and self.of in event.blocks
+            case Update():
+                return not self.is_predicted and self.of == event.sensor
+        return False
+
 
 class Offset(NamedTuple):
     """A constant that residuals show.
 
     Attributes:
         slot: Where.
+        gained: Of the likelihood's logarithm.
         value: What measurements are too large by; or predictions too small, in a second where
             events have times, else at each.
         sigma: Of the value.
-        gained: Of the likelihood's logarithm.
-        p_value: That chance shows as much, of all that were tried.
-        others: Where else as much is gained.
-        begun: Events, from one between which it is there.
     """
 
     slot: OffsetSlot
+    gained: float
     value: float
     sigma: float
-    gained: float
-    p_value: float
-    others: tuple[OffsetSlot, ...] = ()
-    begun: tuple[int, int] = (0, 0)
 
 
-def fitted_offset(steps: Sequence[RecordedStep], factors: Factors, level: float) -> Offset | None:
-    """Return the constant that explains most, if chance does not.
+def fitted_offsets(
+    steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors
+) -> list[Offset]:
+    """Return the likeliest constant of each slot by itself, of those that residuals tell.
 
     Args:
         steps: Of a trace, from its prior on.
+        slots: Where, from when on.
         factors: On its noises.
-        level: Share of sound traces for which one may be named.
     """
-    slots = _slots(steps)
-    whole = _likeliest(steps, slots, factors)
-    best = None if whole is None else _begun(steps, slots, factors, whole)
-    return best if best is not None and best.p_value < level else None
+    information, weighted = _normal_equations(steps, slots, factors) if slots else ([], [])
+    return [
+        Offset(slot, 0.5 * w**2 / i, w / i, i**-0.5)
+        for slot, i, w in zip(slots, information, weighted, strict=True)
+        if i > 0.0 and np.isfinite(w**2 / i)
+    ]
 
 
-def _slots(steps: Sequence[RecordedStep]) -> list[OffsetSlot]:
-    """All places for a constant that is there from the beginning."""
+def offset_slots(steps: Sequence[RecordedStep]) -> list[OffsetSlot]:
+    """Return all places for a constant that is there from the beginning."""
     slots: dict[OffsetSlot, None] = {}
     layout = BlockLayout()
     for event, _ in steps:
@@ -122,63 +121,15 @@ def _slots(steps: Sequence[RecordedStep]) -> list[OffsetSlot]:
     return list(slots)[:_MOST_SLOTS]
 
 
-def _begun(
-    steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors, whole: Offset
-) -> Offset:
-    """The likeliest constant from some event on, if it explains far more than one of the whole."""
-    numbers = np.array([event.number for event, _ in steps])
-    best, low, high = whole, 0, len(numbers)
-    for of in (slots, None):
-        places = np.unique(np.linspace(low, high, _BEGINNINGS + 2, dtype=int)[1:-1])
-        tried = [best.slot] if of is None else of
-        later = [slot._replace(since=int(numbers[k])) for slot in tried for k in places]
-        found = _likeliest(steps, later, factors)
-        if found is None or found.gained < max(best.gained, whole.gained + LATER):
-            break
-        same = [one for one in found.others if _whole(one) == _whole(found.slot)]
-        beginnings = [one.since for one in (found.slot, *same)]
-        others = tuple(dict.fromkeys(_whole(one) for one in found.others if one not in same))
-        at, width = int(np.searchsorted(numbers, found.slot.since)), (high - low) // _BEGINNINGS
-        best = found._replace(others=others, begun=(min(beginnings), max(beginnings)))
-        low, high = max(0, at - width), min(len(numbers), at + width)
-    return best
-
-
-def _whole(slot: OffsetSlot) -> OffsetSlot:
-    return slot._replace(since=0)
-
-
-def _likeliest(
-    steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors
-) -> Offset | None:
-    """The constant that explains most by itself."""
-    information, weighted = _normal_equations(steps, slots, factors)
-    with np.errstate(all="ignore"):
-        gained = np.where(information > 0.0, 0.5 * weighted**2 / information, 0.0)
-    if not gained.size or not np.isfinite(gained).all() or not gained.max() > 0.0:
-        return None
-    k = int(np.argmax(gained))
-    ratio = float(gained[k])
-    alike = np.flatnonzero(gained > ratio - AS_LIKELY).tolist()
-    return Offset(
-        slots[k],
-        float(weighted[k] / information[k]),
-        float(information[k] ** -0.5),
-        ratio,
-        min(1.0, len(slots) * float(gammaincc(0.5, ratio))),
-        tuple(slots[i] for i in alike if i != k),
-    )
-
-
 def _normal_equations(
     steps: Sequence[RecordedStep], slots: Sequence[OffsetSlot], factors: Factors
-) -> tuple[Array, Array]:
-    """(N,) sums of g^T S^-1 g and g^T S^-1 nu, of what N constants of one make of innovations."""
+) -> tuple[list[float], list[float]]:
+    """Sums of g^T S^-1 g and g^T S^-1 nu, of what N constants of one make of innovations."""
     passed = _Sensitivities(slots)
     with np.errstate(all="ignore"):
         for step in with_noises(steps, factors):
             passed.take(step)
-    return passed.information, passed.weighted
+    return passed.information.tolist(), passed.weighted.tolist()
 
 
 class _Sensitivities:
@@ -283,7 +234,7 @@ def without_offsets(
 def _lacking(event: Predict, offsets: Sequence[Offset], layout: BlockLayout) -> Array:
     """(n,) what a prediction lacks in a second."""
     lacking = np.zeros(layout.size)
-    for slot, value, *_ in offsets:
+    for slot, _, value, _ in offsets:
         if slot.is_predicted and slot.of in event.blocks:
             lacking[layout.start[slot.of] + slot.entry] += value
     return lacking
@@ -292,7 +243,7 @@ def _lacking(event: Predict, offsets: Sequence[Offset], layout: BlockLayout) -> 
 def _without(event: Update, offsets: Sequence[Offset]) -> Update:
     """A measurement without constants."""
     residual = event.residual.copy()
-    for slot, value, *_ in offsets:
+    for slot, _, value, _ in offsets:
         if not slot.is_predicted and slot.of == event.sensor:
             residual[slot.entry if slot.entry >= 0 else slice(None)] -= value
     return event._replace(residual=residual)

@@ -21,8 +21,9 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
-from comparisons.explain.noises import NoiseFactor, NoiseSlot, log_likelihoods, steps_of
+from comparisons.explain.noises import NoiseFactor, NoiseSlot, log_likelihoods
 from comparisons.explain.offsets import Offset, OffsetSlot, without_offsets
+from comparisons.explain.recorded_steps import steps_of
 from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import Recorder
 from research.script import options, print_head, print_row
@@ -165,7 +166,7 @@ def tells(path: Path, fault: LinearFault) -> bool:
     if isinstance(fault.slot, NoiseSlot):
         true = log_likelihoods(steps, [{fault.slot._replace(since=since): fault.value}])[0]
     else:
-        constant = Offset(fault.slot._replace(since=since), fault.value, 0.0, 0.0, 0.0)
+        constant = Offset(fault.slot._replace(since=since), 0.0, fault.value, 0.0)
         true = log_likelihoods(list(without_offsets(steps, [constant])), [{}])[0]
     return bool(true > neutral + EVIDENCE)
 
@@ -176,6 +177,7 @@ def main() -> None:
     rng = np.random.default_rng(given.seed)
     named: Counter[str] = Counter()
     tried: Counter[str] = Counter()
+    alike: Counter[str] = Counter()
     others: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         while tried.total() < given.faults:
@@ -186,22 +188,27 @@ def main() -> None:
                 continue
             explained = audit(path).explained
             first = None if explained is None or not explained.fits else explained.causes[0]
-            right = first is not None and fault.is_named(first)
+            right = first is not None and fault.is_named(first.fitted)
+            beside = first is not None and any(fault.is_named(one) for one in first.others)
             tried[fault.kind] += 1
             named[fault.kind] += right
-            others[fault.kind] += first is not None and not right
+            alike[fault.kind] += beside and not right
+            others[fault.kind] += first is not None and not (right or beside)
             if given.list and not right:
                 print(fault, "" if explained is None else explained.what)
-        print_head("fault", "faults", "named", "another named")
+        print_head("fault", "faults", "named first", "named as likely", "another named")
         for key in sorted(tried):
-            print_row(key, tried[key], named[key], others[key])
-        print_row("all", tried.total(), named.total(), others.total())
-        accused = 0
+            print_row(key, tried[key], named[key], alike[key], others[key])
+        print_row("all", tried.total(), named.total(), alike.total(), others.total())
+        accused = said = 0
         for seed in range(given.sound):
             path = Path(folder) / f"sound {seed}.trace"
             LinearDrive(seed, None).record(path)
-            accused += not audit(path).sound
+            result = audit(path)
+            accused += not result.sound
+            said += result.explained is not None
     print(f"\n{share(accused, given.sound, 'sound filters accused')}")
+    print(share(said, given.sound, "sound filters of which a cause is named, though no fault"))
 
 
 if __name__ == "__main__":

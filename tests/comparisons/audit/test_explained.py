@@ -14,13 +14,14 @@ from comparisons.audit.replay import Replay
 from comparisons.explain.noises import (
     NoiseFactor,
     NoiseSlot,
-    RecordedStep,
     log_likelihoods,
+    noise_slots,
     readings,
-    steps_of,
     with_noises,
 )
-from comparisons.explain.offsets import OffsetSlot
+from comparisons.explain.offsets import Offset, OffsetSlot, offset_slots, without_offsets
+from comparisons.explain.recorded_steps import RecordedStep, steps_of
+from comparisons.explain.scores import likelihood_slopes
 from comparisons.trace.events import Augment, Event, Predict, TracePrior, Update
 from research.trust.drawn_causes import LinearDrive, LinearFault
 
@@ -111,6 +112,46 @@ def test_the_likelihood_is_that_of_all_residuals_as_one_gaussian() -> None:
     assert not np.allclose(np.diff(log_likelihoods(forgotten, FACTORS)), np.diff(oracle), rtol=1e-2)
 
 
+def slopes_of(steps: Sequence[RecordedStep], slots: Sequence[NoiseSlot | OffsetSlot]) -> Array:
+    """Central differences of the likelihood by logarithms of factors, and by constants."""
+    size, slopes = 1e-4, []
+    for slot in slots:
+        if isinstance(slot, NoiseSlot):
+            logs = log_likelihoods(steps, [{slot: np.exp(size)}, {slot: np.exp(-size)}])
+        else:
+            constants = [Offset(slot, 0.0, sign * size, 1.0) for sign in (1.0, -1.0)]
+            shifted = [list(without_offsets(steps, [one])) for one in constants]
+            logs = np.concatenate([log_likelihoods(each, [{}]) for each in shifted])
+        slopes.append((logs[0] - logs[1]) / (2.0 * size))
+    return np.array(slopes)
+
+
+def test_slopes_are_those_of_the_likelihood() -> None:
+    steps = list(steps_of(EVERYTHING))
+    slots = [*noise_slots(steps), *offset_slots(steps)]
+    assert len(slots) > 12
+    slopes = likelihood_slopes(steps, slots, {})
+    np.testing.assert_allclose(slopes.total[:-1, 0], slopes_of(steps, slots), rtol=1e-5, atol=1e-7)
+    # under factors that are known already
+    known = {R_OF_RANGE: 3.0}
+    other = likelihood_slopes(steps, [Q_OF_SPEED], known).total[0, 0]
+    logs = log_likelihoods(steps, [{**known, Q_OF_SPEED: np.exp(x)} for x in (1e-4, -1e-4)])
+    assert other == pytest.approx((logs[0] - logs[1]) / 2e-4, rel=1e-5)
+    # broken: the filter's corrections are forgotten
+    forgotten = [step._replace(applied=None) for step in steps]
+    wrong = likelihood_slopes(forgotten, slots, {}).total[:-1, 0]
+    assert not np.allclose(wrong, slopes.total[:-1, 0], rtol=1e-2)
+
+
+def test_drawn_slopes_are_as_chance_makes_them() -> None:
+    """Of the drawn innovations: those of the filter's own covariance have slopes about zero."""
+    steps = list(steps_of(EVERYTHING))
+    slots = [*noise_slots(steps), *offset_slots(steps)]
+    drawn = likelihood_slopes(steps, slots, {}).total[:-1, 1:]
+    spread = drawn.std(axis=1) / np.sqrt(drawn.shape[1])
+    assert (np.abs(drawn.mean(axis=1)) < 4.0 * spread).all()
+
+
 @pytest.mark.parametrize(
     "fault",
     [
@@ -127,7 +168,7 @@ def test_what_is_not_as_stated_is_named(fault: LinearFault, tmp_path: Path) -> N
     assert explained is not None
     first = explained.causes[0]
     assert explained.fits
-    assert fault.is_named(first)
+    assert fault.is_named(first.fitted)
     assert bool(first.slot.since) == bool(fault.since)
 
 
@@ -142,7 +183,7 @@ def test_what_may_have_been_written_is_within_the_interval() -> None:
     steps += [RecordedStep(Update(k, 0.1 * k, "range", ("bias",), np.zeros(1), np.eye(1),
                                   np.array([[0.04]]), True, None, None), None)
               for k in range(1, 4)]  # fmt: skip
-    sigma = NoiseFactor(R_OF_RANGE, 0.041, 9.0, 0.02, 0.08, 1e-6)
+    sigma = NoiseFactor(R_OF_RANGE, 9.0, 0.041, 0.02, 0.08)
     assert readings(sigma, steps) == ["as of a sigma where its square should be"]
     squared = sigma._replace(factor=5.2, low=4.0, high=6.0)
     assert readings(squared, steps) == ["as of a variance that was squared"]
