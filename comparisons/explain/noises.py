@@ -167,7 +167,7 @@ def _of_block(noise: Array, blocks: Blocks, dims: Mapping[str, int], block: str)
 def fitted_noises(
     steps: Sequence[RecordedStep], slots: Sequence[NoiseSlot], known: Factors
 ) -> list[NoiseFactor]:
-    """Return the likeliest factor of each slot by itself.
+    """Return the likeliest factor of each slot by itself; none where residuals have no density.
 
     Args:
         steps: Of a trace, from its prior on.
@@ -179,6 +179,8 @@ def fitted_noises(
     tried = [(slot, log) for slot in slots for log in _GRID]
     logs = log_likelihoods(steps, [known, *({**known, s: float(np.exp(x))} for s, x in tried)])
     neutral, by_slot = float(logs[0]), logs[1:].reshape(len(slots), -1)
+    if not np.isfinite(neutral):
+        return []
     peaks = np.array(_GRID)[by_slot.argmax(axis=1)]
     values, bends = by_slot.max(axis=1), np.zeros(len(slots))
     for step in _STEPS:

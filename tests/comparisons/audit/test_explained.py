@@ -21,7 +21,7 @@ from comparisons.explain.noises import (
 )
 from comparisons.explain.offsets import Offset, OffsetSlot, offset_slots, without_offsets
 from comparisons.explain.recorded_steps import RecordedStep, steps_of
-from comparisons.explain.scores import likelihood_slopes
+from comparisons.explain.scores import Slot, likelihood_slopes
 from comparisons.trace.events import Augment, Event, Predict, TracePrior, Update
 from research.trust.drawn_causes import LinearDrive, LinearFault
 
@@ -112,7 +112,7 @@ def test_the_likelihood_is_that_of_all_residuals_as_one_gaussian() -> None:
     assert not np.allclose(np.diff(log_likelihoods(forgotten, FACTORS)), np.diff(oracle), rtol=1e-2)
 
 
-def slopes_of(steps: Sequence[RecordedStep], slots: Sequence[NoiseSlot | OffsetSlot]) -> Array:
+def slopes_of(steps: Sequence[RecordedStep], slots: Sequence[Slot]) -> Array:
     """Central differences of the likelihood by logarithms of factors, and by constants."""
     size, slopes = 1e-4, []
     for slot in slots:
@@ -128,7 +128,7 @@ def slopes_of(steps: Sequence[RecordedStep], slots: Sequence[NoiseSlot | OffsetS
 
 def test_slopes_are_those_of_the_likelihood() -> None:
     steps = list(steps_of(EVERYTHING))
-    slots = [*noise_slots(steps), *offset_slots(steps)]
+    slots: list[Slot] = [*noise_slots(steps), *offset_slots(steps)]
     assert len(slots) > 12
     slopes = likelihood_slopes(steps, slots, {})
     np.testing.assert_allclose(slopes.total[:-1, 0], slopes_of(steps, slots), rtol=1e-5, atol=1e-7)
@@ -146,7 +146,7 @@ def test_slopes_are_those_of_the_likelihood() -> None:
 def test_drawn_slopes_are_as_chance_makes_them() -> None:
     """Of the drawn innovations: those of the filter's own covariance have slopes about zero."""
     steps = list(steps_of(EVERYTHING))
-    slots = [*noise_slots(steps), *offset_slots(steps)]
+    slots: list[Slot] = [*noise_slots(steps), *offset_slots(steps)]
     drawn = likelihood_slopes(steps, slots, {}).total[:-1, 1:]
     spread = drawn.std(axis=1) / np.sqrt(drawn.shape[1])
     assert (np.abs(drawn.mean(axis=1)) < 4.0 * spread).all()
