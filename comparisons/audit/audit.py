@@ -20,22 +20,23 @@ from pydantic import PlainSerializer
 from comparisons.arrays import Array, Index
 from comparisons.audit.algebra import AlgebraCheck, AuditFinding, name_of
 from comparisons.audit.consistency import (
-    Anchors,
     BlockErrors,
     ConsistencyDeparture,
     EventInnovations,
     Smoothed,
     departures,
-    first_error,
 )
+from comparisons.audit.estimate_figures import EstimateFigures, EstimateKind, figures_of_steps
 from comparisons.audit.explained import ExplainedInnovations, explained_innovations
+from comparisons.audit.least_squares import AnchoredSmoother
 from comparisons.audit.replay import BlockLayout, Fused, apart
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
 from comparisons.audit.uses import MeasurementUse
 from comparisons.errors import InputError
+from comparisons.explain.recorded_steps import steps_of
 from comparisons.figures import Aside, Figure, package_versions
 from comparisons.innovations import SensorInnovations
-from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, rarity, units
+from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, units
 from comparisons.trace.events import (
     Augment,
     Clone,
@@ -50,13 +51,10 @@ from comparisons.trace.events import (
 )
 from comparisons.trace.reader import TraceReader
 from graphslam.arrays import Marginal
-from graphslam.event_smoother import EventSmoother
 
 FALSE_ALARMS = 1e-3
 """Share of sound traces that any of the statistical checks calls faulty."""
 MOST_ANCHORS = 200
-LARGEST_ANCHORED = 500
-"""Entries of a state whose smoothed marginals are kept on the way."""
 _MOST_GAPS = 2_000
 _FIRST = float("inf")
 """What explains all that innovations show goes before them."""
@@ -191,10 +189,9 @@ class _Pass:
         self.trace, self.tolerance = trace, tolerance
         self.unsolved: int | None = None
         self.algebra = AlgebraCheck(tolerance)
-        self.smoother: EventSmoother
+        self.smoother: AnchoredSmoother
         self.innovations = EventInnovations(trace.sensors)
         self.uses = MeasurementUse(trace.sensors)
-        self.anchors = Anchors()
         self.prior: TracePrior
         self.errors: BlockErrors
         self.blocks: dict[str, int] = {}
@@ -219,20 +216,22 @@ class _Pass:
         self.algebra.end()
         sensors = self.innovations.figures()
         level = FALSE_ALARMS / (len(sensors) + 3)
-        smoothed, nees = self.anchors.smoothed(), self.errors.averages()
+        figures = self._figures()
         spurious = None if self.spurious is None else self.spurious.result()
         self._name_spurious(spurious)
         for name, one in self.innovations.turned():
             text = f"sensor `{name}`: {one.what}"
             finding = AuditFinding("innovations", True, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, one.weight)
-        departing = [departures(figures, level) for figures in sensors]
-        explained = self._explain_innovations(departing, level)
+        departing = [departures(one, level) for one in sensors]
+        of_estimate = figures.departures(level)
+        explained, consequences = self._explain(departing, of_estimate, level)
         cause = explained.name if explained is not None and explained.fits else ""
-        for figures, found in zip(sensors, departing, strict=True):
-            self._judge_innovations(figures, found, cause)
-        self._judge_smoother(smoothed.averaged, level)
-        self._judge_errors(nees, smoothed, level)
+        for sensor, found in zip(sensors, departing, strict=True):
+            self._judge_innovations(sensor, found, cause)
+        for kind, those in of_estimate.items():
+            self._judge_estimate(kind, those, cause if kind in consequences else "")
+        nees = figures.errors.averages()
         findings = self.algebra.findings()
         verdict: Verdict = "sound" if self.compared or self.algebra.gains else "nothing checked"
         return Audit(
@@ -251,7 +250,7 @@ class _Pass:
             gains_unlike=self.algebra.unlike,
             follows_kalman=self.algebra.optimal,
             sensors=sensors,
-            smoother=smoothed.averaged,
+            smoother=figures.smoothed.averaged,
             nees=nees.pop("", None),
             nees_by_block=nees,
             spurious=None if spurious is None else spurious.directions,
@@ -283,7 +282,7 @@ class _Pass:
                 self._follow(event, fused)
                 self._judge_use(event, fused)
                 if self.unsolved is None:
-                    self._solve(event, fused)
+                    self.smoother.take(event, fused)
             case Snapshot():
                 self._snapshot(event)
             case TracePrior():
@@ -292,16 +291,9 @@ class _Pass:
                 self.errors = BlockErrors(BlockLayout(event.blocks, event.dims))
                 self.algebra.take(event, unsound)
                 if not unsound:
-                    self._begin(event)
+                    self.smoother = AnchoredSmoother(event)
             case Directions() if self.unsolved is None:
                 self.spurious = SpuriousInformation(event, self.algebra.replay)
-
-    def _begin(self, prior: TracePrior) -> None:
-        """Begin least squares, and keep the beginning for what is smoothed back to it."""
-        self.smoother = EventSmoother(prior.blocks, prior.dims, prior.covariance)
-        if len(prior.covariance) <= LARGEST_ANCHORED:
-            self.anchors.begin(self.smoother.marginal())
-            self.smoother.anchor()
 
     def _follow(self, event: Event, fused: Fused | None) -> None:
         """Keep innovations and blocks. fused: what the recursion made of an update."""
@@ -326,25 +318,6 @@ class _Pass:
             finding = AuditFinding("use", True, text, update.number, sensor=update.sensor)
             algebra.add(finding, one.kind)
 
-    def _solve(self, event: Event, fused: Fused | None) -> None:
-        """Let least squares do an event. fused: what the recursion made of an update."""
-        match event:
-            case Predict():
-                self.smoother.predict(event.blocks, event.jacobian, event.noise)
-            case Update() if fused is not None and event.used:
-                self.smoother.measure(event.blocks, event.jacobian, event.noise, event.residual)
-                self.smoother.correct(fused.applied)
-            case Reset():
-                self.smoother.predict(event.blocks, event.jacobian, None)
-            case Augment():
-                g = event.noise_jacobian
-                noise = g @ event.noise @ g.T
-                self.smoother.augment(event.name, event.blocks, event.jacobian, noise)
-            case Clone():
-                self.smoother.clone(event.source, event.name)
-            case Remove():
-                self.smoother.remove(event.blocks)
-
     def _snapshot(self, snapshot: Snapshot) -> None:
         """Compare a snapshot with both solutions."""
         self.snapshots += 1
@@ -360,8 +333,8 @@ class _Pass:
         if algebra.sound and algebra.optimal:
             scaled = apart(algebra.replay.covariance, marginal.covariance)
             self.agreement = max(self.agreement, float(scaled.max()))
-        if self.snapshots % self.every == 0 and len(marginal.mean) <= LARGEST_ANCHORED:
-            self.anchors.add(snapshot.number, marginal, self.smoother.anchor())
+        if self.snapshots % self.every == 0:
+            self.smoother.keep(snapshot.number, marginal)
 
     def _unsolved(self) -> list[str]:
         """What is not compared, after a noise that is no covariance."""
@@ -394,24 +367,49 @@ class _Pass:
         if not self.acted and snapshot.blocks == self.prior.blocks:
             self.errors.before = error
 
-    def _explain_innovations(
-        self, departing: Iterable[Sequence[ConsistencyDeparture]], level: float
-    ) -> ExplainedInnovations | None:
+    def _figures(self) -> EstimateFigures:
+        """Return what errors of the estimate come to."""
+        known = self.prior.number not in self.trace.unsound
+        smoothed = self.smoother.smoothed() if known else Smoothed(None, None)
+        return EstimateFigures(self.prior, smoothed, self.errors, known, self.algebra.sound)
+
+    def _explain(
+        self,
+        departing: Iterable[Sequence[ConsistencyDeparture]],
+        of_estimate: Mapping[EstimateKind, Sequence[ConsistencyDeparture]],
+        level: float,
+    ) -> tuple[ExplainedInnovations | None, set[EstimateKind]]:
         """Name noises and constants that residuals ask for, where the algebra is sound.
 
-        They are a fault where they explain all that is off. departing: what is off, by sensor.
+        They are a fault where they explain what is off: all of the innovations, or more.
+
+        Args:
+            departing: What is off in the innovations, by sensor.
+            of_estimate: The same of the estimate, by kind.
+            level: Of a sound filter.
+
+        Returns:
+            What explains the innovations, and the kinds of what is off that it explains as well.
         """
         algebra = self.algebra
         if not (algebra.sound and algebra.known and algebra.optimal):
-            return None
-        is_off = any(each.fault for found in departing for each in found)
+            return None, set()
+        off = {kind for kind, those in of_estimate.items() if those}
+        is_off = any(each.fault for those in departing for each in those)
         sensors = self.trace.sensors
-        explained = explained_innovations(self.trace, sensors, level, is_off=is_off)
-        if explained is not None:
-            is_fault, what = is_off and explained.fits, explained.what
-            finding = AuditFinding("innovations", is_fault, what, None, sensor=explained.sensor)
-            algebra.add(finding, what, _FIRST if is_fault else 0.0)
-        return explained
+        explained = explained_innovations(self.trace, sensors, level, is_off=is_off or bool(off))
+        if explained is None:
+            return None, set()
+        consequences: set[EstimateKind] = set()
+        if off and explained.fits:
+            again = figures_of_steps(explained.taken_in(steps_of(self.trace)), self.every)
+            consequences = off - {kind for kind, left in again.departures(level).items() if left}
+        is_fault = explained.fits and (bool(consequences) or is_off)
+        finding = AuditFinding(
+            "innovations", is_fault, explained.what, None, sensor=explained.sensor
+        )
+        algebra.add(finding, explained.what, _FIRST if is_fault else 0.0)
+        return explained, consequences
 
     def _judge_innovations(
         self, figures: SensorInnovations, found: Sequence[ConsistencyDeparture], cause: str
@@ -431,33 +429,16 @@ class _Pass:
             finding = AuditFinding("innovations", fault, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, weight)
 
-    def _judge_smoother(self, found: Averaged | None, level: float) -> None:
-        if found is not None and found.p_value < level:
-            low, high = found.band
-            text = f"filter minus smoother is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
-            weight = _CONSEQUENCE * rarity(found.mean, found.dof)
-            finding = AuditFinding("smoother", self.algebra.optimal, text, found.worst)
-            self.algebra.add(finding, text, weight)
-
-    def _judge_errors(self, nees: Mapping[str, Averaged], smoothed: Smoothed, level: float) -> None:
-        """Judge errors by the truth, and the first one, which all measurements tell without it."""
-        for one in self.errors.departures(nees, level):
-            finding = AuditFinding("nees", True, one.what, one.event)
+    def _judge_estimate(
+        self, kind: EstimateKind, those: Sequence[ConsistencyDeparture], cause: str
+    ) -> None:
+        """Name what departs of the estimate. cause: what explains all of it, if anything does."""
+        for one in those:
+            text = one.what + (f", explained by {cause}" if cause else "")
+            fault = (kind == "nees" or self.algebra.optimal) and not cause
+            check = "smoother" if kind == "smoother" else "nees"
+            finding = AuditFinding(check, fault, text, one.event)
             self.algebra.add(finding, one.what, _CONSEQUENCE * one.weight)
-        first = self._first_error(smoothed, level)
-        if first is not None:
-            finding = AuditFinding("nees", self.algebra.optimal, first.what, first.event)
-            self.algebra.add(finding, first.what, _CONSEQUENCE * first.weight)
-
-    def _first_error(self, smoothed: Smoothed, level: float) -> ConsistencyDeparture | None:
-        """Judge the first error by P0: the recorded one, or else as least squares have it."""
-        prior, before, first = self.prior, self.errors.before, smoothed.first
-        layout, p = BlockLayout(prior.blocks, prior.dims), prior.covariance
-        if before is not None and prior.number not in self.trace.unsound:
-            return first_error(layout, p, before, np.zeros_like(p), level)
-        if first is None or not self.algebra.sound:
-            return None
-        return first_error(layout, p, first.mean, first.covariance, level)
 
     def _name_spurious(self, found: Learnt | None) -> None:
         """Name what was learnt of directions that the sensors cannot tell; no error of algebra."""

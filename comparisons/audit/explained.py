@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ from comparisons.explain.likeliest import Fitted, InnovationCause, likeliest_cau
 from comparisons.explain.noises import Factors, NoiseFactor, NoiseSlot, readings, with_noises
 from comparisons.explain.offsets import Offset, without_offsets
 from comparisons.explain.recorded_steps import RecordedStep, steps_of
+from comparisons.explain.scores import Slot
 from comparisons.innovations import NO_SENSOR
 from comparisons.trace.events import Event, Predict, SensorDescription
 
@@ -30,18 +31,20 @@ class ExplainedInnovations(NamedTuple):
 
     Attributes:
         what: In words.
+        name: What the first cause is of, in words.
         fits: With them nothing is off in the innovations of any sensor.
         causes: Those that say most first.
     """
 
     what: str
+    name: str
     fits: bool
     causes: tuple[InnovationCause, ...]
 
-    @property
-    def name(self) -> str:
-        """What the first cause is of."""
-        return self.causes[0].slot.words()
+    def taken_in(self, steps: Iterable[RecordedStep]) -> Iterator[RecordedStep]:
+        """Return the events as they are with the causes: other noises, without constants."""
+        factors, offsets = _of_kind(self.causes)
+        return with_noises(without_offsets(steps, offsets), factors)
 
     @property
     def sensor(self) -> str | None:
@@ -92,7 +95,8 @@ def explained_innovations(
         what += ": with that nothing is off in the innovations"
     else:
         what = f"residuals are likelier with {what}, though no figure of theirs leaves its band"
-    return ExplainedInnovations(what, not left, tuple(causes))
+    name = _words(causes[0].slot, sensors)
+    return ExplainedInnovations(what, name, not left, tuple(causes))
 
 
 def _of_kind(causes: Iterable[InnovationCause]) -> tuple[Factors, list[Offset]]:
@@ -117,10 +121,13 @@ def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -
     return text + "".join(f", or {other}" for other in others)
 
 
+def _words(slot: Slot, sensors: Sensors) -> str:
+    return slot.words(sensors.get(slot.of, NO_SENSOR).components)
+
+
 def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) -> tuple[str, str]:
     """A cause with its number, and the interval of that."""
-    slot = fitted.slot
-    words = slot.words(sensors.get(slot.of, NO_SENSOR).components)
+    words = _words(fitted.slot, sensors)
     if isinstance(fitted, NoiseFactor):
         text = f"{words} {fitted.factor:.3g} times the stated one"
         return text, f"{fitted.low:.3g} to {fitted.high:.3g}"

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from comparisons.audit.audit import LARGEST_ANCHORED, AlgebraGap, Audit, Progress
+from comparisons.audit.audit import AlgebraGap, Audit, Progress
 from comparisons.audit.audit import audit as go_through
+from comparisons.audit.least_squares import LARGEST_ANCHORED
 from comparisons.audit.spurious import LearntDirection
 from comparisons.checks.check import Question
 from comparisons.checks.finding import Absent, Finding, Findings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -28,7 +29,9 @@ _MOST_FITTED = 8
 _LEAST_PROMISE, _LEAST_FITTED = 3.0, 5.0
 """Of the likelihood's logarithm, by derivatives and by fits: less is nothing."""
 _BEGINNINGS = 24
-"""Tried over the whole trace, and again about the likeliest of them."""
+"""Tried over the whole trace, and half as many between those about the likeliest of them."""
+_ROUNDS, _MOST_NARROWED = 3, 3
+"""How often this is repeated, and for how many causes."""
 
 Fitted = NoiseFactor | Offset
 
@@ -145,11 +148,20 @@ def _later(
     if not max(one.gained for one in likeliest) > _LEAST_FITTED:
         return []
     numbers = [[e.number for e, _ in steps if one.slot.touches(e)][1:] for one in likeliest]
-    tried = [_spread(of, 0, len(of) - 1, _BEGINNINGS) for of in numbers]
-    first = _gains(steps, likeliest, tried, factors)
-    tried = [_about(of, by) for of, by in zip(numbers, first, strict=True)]
-    second = _gains(steps, likeliest, tried, factors)
-    gained = [one | other for one, other in zip(first, second, strict=True)]
+    promised = {one.slot: one.since for one in promising}
+    tried = [
+        [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(one.slot)])]
+        for one, of in zip(likeliest, numbers, strict=True)
+    ]
+    gained = _gains(steps, likeliest, tried, factors)
+    for _ in range(_ROUNDS):
+        most = sorted((max(by.values(), default=0.0) for by in gained), reverse=True)
+        least = most[:_MOST_NARROWED][-1]
+        pairs = zip(numbers, gained, strict=True)
+        tried = [_about(of, by) if max(by.values(), default=0.0) >= least else []
+                 for of, by in pairs]  # fmt: skip
+        narrowed = _gains(steps, likeliest, tried, factors)
+        gained = [by | other for by, other in zip(gained, narrowed, strict=True)]
     later: dict[Slot, tuple[int, int]] = {}
     for one, by in zip(likeliest, gained, strict=True):
         if by:
@@ -165,6 +177,12 @@ def _spread(numbers: Sequence[int], low: int, high: int, count: int) -> list[int
     return [numbers[row] for row in sorted(rows)]
 
 
+def _nearest(numbers: Sequence[int], since: int) -> Sequence[int]:
+    """Some numbers about one."""
+    at = bisect_left(numbers, since)
+    return numbers[max(0, at - _BEGINNINGS // 4) : at + _BEGINNINGS // 4]
+
+
 def _about(numbers: Sequence[int], gained: Mapping[int, float]) -> list[int]:
     """Numbers between the two beside the one that gains most."""
     if not gained:
@@ -172,7 +190,7 @@ def _about(numbers: Sequence[int], gained: Mapping[int, float]) -> list[int]:
     tried = sorted(gained)
     at = tried.index(max(tried, key=lambda since: gained[since]))
     low, high = (numbers.index(tried[min(max(k, 0), len(tried) - 1)]) for k in (at - 1, at + 1))
-    return _spread(numbers, low, high, _BEGINNINGS // 2)
+    return [since for since in _spread(numbers, low, high, _BEGINNINGS // 2) if since not in gained]
 
 
 def _gains(

@@ -74,10 +74,11 @@ class LinearFault(NamedTuple):
 class LinearDrive:
     """A filter of place, speed and the odometer's bias, whose noises may not be as stated."""
 
-    def __init__(self, seed: int, fault: LinearFault | None) -> None:
-        """fault: of the noises; None if they are as stated."""
-        self.rng, self.fault = np.random.default_rng(seed), fault
+    def __init__(self, seed: int, fault: LinearFault | None, *, has_truth: bool = False) -> None:
+        """fault: of the noises; None if they are as stated. has_truth: errors are recorded."""
+        self.rng, self.fault, self.has_truth = np.random.default_rng(seed), fault, has_truth
         self.covariance = np.diag([1.0, 1.0, 0.25, 0.25, 0.04])
+        self.truth_is_off = np.zeros(5)
 
     def record(self, path: Path) -> None:
         """Drive and record."""
@@ -94,7 +95,8 @@ class LinearDrive:
                 for sensor, every in (("odometer", 1), ("gps", 5)):
                     if step % every == 0:
                         error = self._measure(record, sensor, error, step)
-                record.snapshot(self.covariance)
+                truth = error + self.truth_is_off if self.has_truth else None
+                record.snapshot(self.covariance, error=truth)
 
     def _measure(self, record: Recorder, sensor: str, error: Array, step: int) -> Array:
         """Fuse a measurement; return what the estimate is off by then."""

@@ -172,6 +172,31 @@ def test_what_is_not_as_stated_is_named(fault: LinearFault, tmp_path: Path) -> N
     assert bool(first.slot.since) == bool(fault.since)
 
 
+def test_what_follows_from_a_cause_is_no_fault_of_its_own(tmp_path: Path) -> None:
+    fault = LinearFault(OffsetSlot("odometer", 0, False), 1.0, 150)
+    LinearDrive(5, fault, has_truth=True).record(tmp_path / "run.trace")
+    result = audit(tmp_path / "run.trace")
+    faults = [one.text for one in result.findings if one.fault]
+    assert len(faults) == 1, faults
+    assert faults[0].startswith("a constant +")
+    explained = [
+        one
+        for one in result.findings
+        if "explained by component 0 of sensor `odometer`" in one.text
+    ]
+    assert {"innovations", "nees"} <= {one.check for one in explained}
+
+
+def test_what_a_cause_does_not_explain_stays_a_fault(tmp_path: Path) -> None:
+    """Errors that the innovations do not show: the truth is 30 m elsewhere."""
+    fault = LinearFault(OffsetSlot("odometer", 0, False), 1.0, 150)
+    drive = LinearDrive(5, fault, has_truth=True)
+    drive.truth_is_off = np.array([30.0, 0.0, 0.0, 0.0, 0.0])
+    drive.record(tmp_path / "run.trace")
+    faults = [one for one in audit(tmp_path / "run.trace").findings if one.fault]
+    assert [one.check for one in faults] == ["innovations", "nees"]
+
+
 def test_a_sound_filter_is_not_accused(tmp_path: Path) -> None:
     for seed in range(6):
         LinearDrive(seed, None).record(tmp_path / f"{seed}.trace")
