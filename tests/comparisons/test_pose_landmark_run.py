@@ -172,7 +172,7 @@ def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
 @pytest.mark.parametrize(
     ("state", "words"),
     [
-        (NoCross, ("augmentation", "scan landmark", "with blocks other than pose was left zero")),
+        (NoCross, ("augmentation", "scan landmark", "covariance with all but pose is zero")),
         (Conditioned, ("; event ", " (removal of ", "the covariance of block ", " is off by ")),
     ],
 )
