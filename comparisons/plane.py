@@ -15,8 +15,8 @@ def pose_difference(first: Array, second: Array) -> Array:
     return difference
 
 
-def turned(place: Array, by: Array) -> Array:
-    """Return vectors (N, 2), or one (2,), turned by angles (N,) [rad]."""
+def turned(place: Array, by: Array | float) -> Array:
+    """Return vectors (N, 2), or one (2,), turned by angles (N,), or by one [rad]."""
     cos, sin, (x, y) = np.cos(by), np.sin(by), np.moveaxis(place, -1, 0)
     return np.column_stack((cos * x - sin * y, sin * x + cos * y))
 

@@ -18,7 +18,8 @@ from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.jobs.check import ExternalCheck, check
+from comparisons.jobs.check import check
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
     from comparisons.extensions.dense_maps.job import DenseMapping as DenseMapping
     from comparisons.extensions.scan_motion.job import FrontEnd as FrontEnd
-    from comparisons.jobs.check import ExternalCheck as ExternalCheck
+    from comparisons.jobs.external_check import ExternalCheck as ExternalCheck
     from comparisons.jobs.run import Comparison as Comparison
     from comparisons.logs.log import Log as Log
     from comparisons.logs.log_folder import write_log_folder as write_log
@@ -88,7 +88,7 @@ _PLACES = {
     "Estimate": "comparisons.estimates.estimate",
     "EstimateComparison": "comparisons.checks.pair_of_estimates",
     "FrontEnd": "comparisons.extensions.scan_motion.job",
-    "ExternalCheck": "comparisons.jobs.check",
+    "ExternalCheck": "comparisons.jobs.external_check",
     "ExternalEstimate": "comparisons.estimates.external",
     "InputError": "comparisons.errors",
     "Log": "comparisons.logs.log",

@@ -19,7 +19,8 @@ from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
 from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import build_world, log_of_run
-from comparisons.jobs.check import ExternalCheck, check
+from comparisons.jobs.check import check
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from tests.helpers import present
 from tests.processes import compiled, ran, works

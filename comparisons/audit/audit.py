@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import PlainSerializer
 
-from comparisons.arrays import Array, Index
+from comparisons.arrays import Index
 from comparisons.audit.algebra import AlgebraCheck, AuditFinding, name_of
 from comparisons.audit.consistency import (
     BlockErrors,
@@ -231,7 +231,6 @@ class _Pass:
             self._judge_innovations(sensor, found, cause)
         for kind, those in of_estimate.items():
             self._judge_estimate(kind, those, cause if kind in consequences else "")
-        nees = figures.errors.averages()
         findings = self.algebra.findings()
         verdict: Verdict = "sound" if self.compared or self.algebra.gains else "nothing checked"
         return Audit(
@@ -251,8 +250,8 @@ class _Pass:
             follows_kalman=self.algebra.optimal,
             sensors=sensors,
             smoother=figures.smoothed.averaged,
-            nees=nees.pop("", None),
-            nees_by_block=nees,
+            nees=figures.nees.get(""),
+            nees_by_block={name: nees for name, nees in figures.nees.items() if name},
             spurious=None if spurious is None else spurious.directions,
             learnt=spurious,
             explained=explained,
@@ -325,7 +324,8 @@ class _Pass:
         algebra = self.algebra
         algebra.take(snapshot)
         if snapshot.error is not None:
-            self._error(snapshot, snapshot.error)
+            layout = algebra.replay.layout
+            self.errors.add(snapshot, snapshot.error, layout, is_first=not self.acted)
         if self.unsolved is not None:
             return
         marginal = self.smoother.marginal()
@@ -361,17 +361,12 @@ class _Pass:
             self.first_open = gap
             self.algebra.note_precision(snapshot.number, snapshot.covariance)
 
-    def _error(self, snapshot: Snapshot, error: Array) -> None:
-        """Note the error squared, in units of the recorded covariance."""
-        self.errors.add(snapshot, error, self.algebra.replay.layout)
-        if not self.acted and snapshot.blocks == self.prior.blocks:
-            self.errors.before = error
-
     def _figures(self) -> EstimateFigures:
         """Return what errors of the estimate come to."""
         known = self.prior.number not in self.trace.unsound
         smoothed = self.smoother.smoothed() if known else Smoothed(None, None)
-        return EstimateFigures(self.prior, smoothed, self.errors, known, self.algebra.sound)
+        nees, errors = self.errors.averages(), self.errors
+        return EstimateFigures(self.prior, smoothed, errors, nees, known, self.algebra.sound)
 
     def _explain(
         self,

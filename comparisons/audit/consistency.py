@@ -17,7 +17,7 @@ from scipy.special import bdtr, bdtrc, ndtr, rel_entr
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import BlockLayout, Fused, Replay
-from comparisons.explain.recorded_steps import RecordedStep
+from comparisons.explain.recorded_steps import RecordedStep, apply_step
 from comparisons.innovations import (
     NO_SENSOR,
     Gating,
@@ -44,7 +44,6 @@ from comparisons.statistics import (
 from comparisons.trace.events import (
     Augment,
     Event,
-    Predict,
     SensorDescription,
     Snapshot,
     TracePrior,
@@ -190,13 +189,12 @@ def step_innovations(
     """Return the innovations of all events, by sensor, with what moves predictions beside them."""
     found = EventInnovations(sensors)
     replay: Replay
-    for event, applied in steps:
+    for step in steps:
+        event = step.event
         if isinstance(event, TracePrior):
             replay = Replay(event)
             continue
-        fused = replay.apply(event)
-        if isinstance(event, Predict) and applied is not None:
-            replay.mean -= applied
+        fused = apply_step(replay, step)
         if isinstance(event, Augment):
             found.begin(event)
         elif isinstance(event, Update) and fused is not None:
@@ -268,11 +266,16 @@ class BlockErrors:
         """Start empty."""
         names = list(layout.dims)[:_MOST_BLOCKS]
         self._names = names if len(layout.dims) > 1 else []
+        self._blocks = tuple(layout.dims)
         self._rows: dict[str, list[tuple[int, float, float, int]]] = defaultdict(list)
         self.before: Array | None = None
 
-    def add(self, snapshot: Snapshot, error: Array, layout: BlockLayout) -> None:
-        """Add a snapshot's error (n,). layout: of its state."""
+    def add(
+        self, snapshot: Snapshot, error: Array, layout: BlockLayout, *, is_first: bool = False
+    ) -> None:
+        """Add a snapshot's error (n,). layout: of its state. is_first: no event was before it."""
+        if is_first and snapshot.blocks == self._blocks:
+            self.before = error
         if faults(snapshot.covariance[None])[0] == "":
             self._add("", snapshot, error, slice(None))
         start = 0

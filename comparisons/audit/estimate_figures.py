@@ -6,7 +6,7 @@ their bands are consequences of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,8 +19,8 @@ from comparisons.audit.consistency import (
 )
 from comparisons.audit.least_squares import AnchoredSmoother
 from comparisons.audit.replay import BlockLayout, Replay
-from comparisons.explain.recorded_steps import RecordedStep
-from comparisons.statistics import rarity
+from comparisons.explain.recorded_steps import RecordedStep, apply_step
+from comparisons.statistics import Averaged, rarity
 from comparisons.trace.events import Predict, Snapshot, TracePrior
 
 EstimateKind = Literal["smoother", "nees", "first error"]
@@ -33,6 +33,7 @@ class EstimateFigures(NamedTuple):
         prior: Which the filter began with.
         smoothed: By all measurements.
         errors: By the truth.
+        nees: NEES by them, of the state and of blocks.
         is_prior_known: The prior is a covariance.
         is_smoothed_told: Least squares tell the first error.
     """
@@ -40,12 +41,13 @@ class EstimateFigures(NamedTuple):
     prior: TracePrior
     smoothed: Smoothed
     errors: BlockErrors
+    nees: Mapping[str, Averaged]
     is_prior_known: bool = True
     is_smoothed_told: bool = True
 
     def departures(self, level: float) -> dict[EstimateKind, list[ConsistencyDeparture]]:
         """Return what departs, by kind. level: of each kind, of a sound filter."""
-        by_truth = self.errors.departures(self.errors.averages(), level)
+        by_truth = self.errors.departures(self.nees, level)
         first = self._first_error(level)
         return {
             "smoother": self._of_smoother(level),
@@ -84,7 +86,8 @@ def figures_of_steps(steps: Iterable[RecordedStep], every: int) -> EstimateFigur
     replay: Replay
     prior: TracePrior
     errors: BlockErrors
-    for event, applied in steps:
+    for step in steps:
+        event = step.event
         match event:
             case TracePrior():
                 prior, replay = event, Replay(event)
@@ -95,15 +98,13 @@ def figures_of_steps(steps: Iterable[RecordedStep], every: int) -> EstimateFigur
                 if event.error is not None:
                     error = event.error - replay.mean[at]
                     covariance = replay.covariance[at][:, at]
-                    errors.add(event._replace(covariance=covariance), error, replay.layout)
-                    if not acted and event.blocks == prior.blocks:
-                        errors.before = error
+                    within = event._replace(covariance=covariance)
+                    errors.add(within, error, replay.layout, is_first=not acted)
                 if snapshots % every == 0:
                     smoother.keep(event.number, smoother.marginal())
             case _:
                 acted = True
-                smoother.take(event, replay.apply(event))
-                if isinstance(event, Predict) and applied is not None:
-                    replay.mean -= applied
-                    smoother.correct(applied)
-    return EstimateFigures(prior, smoother.smoothed(), errors)
+                smoother.take(event, apply_step(replay, step))
+                if isinstance(event, Predict) and step.applied is not None:
+                    smoother.correct(step.applied)
+    return EstimateFigures(prior, smoother.smoothed(), errors, errors.averages())

@@ -43,8 +43,7 @@ class ExplainedInnovations(NamedTuple):
 
     def taken_in(self, steps: Iterable[RecordedStep]) -> Iterator[RecordedStep]:
         """Return the events as they are with the causes: other noises, without constants."""
-        factors, offsets = _of_kind(self.causes)
-        return with_noises(without_offsets(steps, offsets), factors)
+        return _taken_in(self.causes, steps)
 
     @property
     def sensor(self) -> str | None:
@@ -77,9 +76,8 @@ def explained_innovations(
         if cause is None:
             break
         causes.append(cause)
-        factors, offsets = _of_kind(causes)
         every = steps if len(steps) < most else steps_of(events)
-        after = step_innovations(with_noises(without_offsets(every, offsets), factors), sensors)
+        after = step_innovations(_taken_in(causes, every), sensors)
         left = [
             f"sensor `{one.sensor}`: {each.what}"
             for one in after
@@ -104,6 +102,14 @@ def _of_kind(causes: Iterable[InnovationCause]) -> tuple[Factors, list[Offset]]:
     fitted = [one.fitted for one in causes]
     factors = {one.slot: one.factor for one in fitted if isinstance(one, NoiseFactor)}
     return factors, [one for one in fitted if isinstance(one, Offset)]
+
+
+def _taken_in(
+    causes: Iterable[InnovationCause], steps: Iterable[RecordedStep]
+) -> Iterator[RecordedStep]:
+    """Events with other noises, and without constants."""
+    factors, offsets = _of_kind(causes)
+    return with_noises(without_offsets(steps, offsets), factors)
 
 
 def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -> str:

@@ -11,6 +11,8 @@ import numpy as np
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
+from comparisons.checks.verdict import Outcome
+from comparisons.config import RequiredGrade
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
@@ -103,6 +105,23 @@ class Likeness(Brief):
         return float(np.nanmin(least)), float(np.nanmax(largest))
 
 
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Graded(Brief):
+    """An estimate's grade. value: None where it is not like any, and the optimum is not verified.
+
+    required: the least that is asked for. by: what it was compared with in the end, the nearest.
+    """
+
+    value: Grade | None
+    required: RequiredGrade
+    by: Likeness | None
+
+    @property
+    def enough(self) -> bool:
+        """Whether it is what is asked for."""
+        return self.value is not None and (GRADES.index(self.value) >= GRADES.index(self.required))
+
+
 def likeness(given: ExternalEstimate, reference: Reference, *, labelled: bool) -> Likeness:
     """Compare every pose, every landmark, and the last pose and map together.
 
@@ -128,6 +147,44 @@ def likeness(given: ExternalEstimate, reference: Reference, *, labelled: bool) -
         ours=ours,
         theirs=theirs,
     )
+
+
+def nearer(first: Likeness | None, second: Likeness) -> Likeness:
+    """Return the second where it is nearer by more than rounding: by grade, then by distance."""
+    if first is None:
+        return second
+    ranks = [GRADES.index(one.grade or "wrong") for one in (first, second)]
+    if ranks[0] != ranks[1]:
+        return second if ranks[1] > ranks[0] else first
+    return second if second.farthest < first.farthest * (1.0 - ROUNDING) else first
+
+
+def graded(
+    required: RequiredGrade, near: Likeness | None, against: Sequence[str], *, verified: bool
+) -> Graded:
+    """Return the grade of an estimate by the reference that it is nearest to, or by the optimum.
+
+    against: what is not plausible beside the optimum. verified: the optimum is.
+    """
+    value: Grade | None = near.grade if near else None
+    if value is None and verified:
+        value = "wrong" if against else "plausible"
+    return Graded(value=value, required=required, by=near)
+
+
+def outcome_of(grade: Graded, *, verified: bool, association_known: bool = True) -> Outcome:
+    """Return the outcome; an optimum not verified leaves open only what is measured by it.
+
+    association_known: by labels, or beyond doubt; if not, the references may be wrong themselves.
+    """
+    if grade.value == "wrong":
+        return "disagree"
+    if grade.value is None and not association_known:
+        return "unverified"
+    by_optimum = grade.by is None or grade.by.grade is None or grade.by.reference.smoothed
+    if by_optimum and not verified and not (grade.value is None and grade.required != "plausible"):
+        return "unverified"
+    return "agree" if grade.enough else "disagree"
 
 
 def match_map(

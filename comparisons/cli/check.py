@@ -14,7 +14,7 @@ from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from comparisons.config import CheckConfig
-    from comparisons.jobs.check import ExternalCheck
+    from comparisons.jobs.external_check import ExternalCheck
     from comparisons.pipeline.clock import Progress
 
 _SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"

@@ -81,8 +81,9 @@ def likeliest_cause(
     later = _later(steps, promising, whole, factors)
     fits = [*whole, *(one.fitted for one in later)]
     best, begun = _simplest(whole), (0, 0)
+    least = best.gained + LATER
     for one in later:
-        if one.fitted.gained > max(best.gained, _simplest(whole).gained + LATER):
+        if one.fitted.gained > max(best.gained, least):
             best, begun = one.fitted, one.begun
     p_value = min(1.0, len(slots) * float(gammaincc(0.5, max(0.0, _rank(best)))))
     if not p_value < level:
@@ -147,8 +148,28 @@ def _later(
     likeliest = list(by_slot.values())
     if not max(one.gained for one in likeliest) > _LEAST_FITTED:
         return []
-    numbers = [[e.number for e, _ in steps if one.slot.touches(e)][1:] for one in likeliest]
     promised = {one.slot: one.since for one in promising}
+    gained = _gains_by_beginning(steps, likeliest, promised, factors)
+    later: dict[Slot, tuple[int, int]] = {}
+    for one, by in zip(likeliest, gained, strict=True):
+        if by:
+            alike = [since for since in by if by[since] > max(by.values()) - AS_LIKELY]
+            since = max(by, key=lambda since: by[since])
+            later[one.slot._replace(since=since)] = min(alike), max(alike)
+    return [_Later(one, later[one.slot]) for one in _fitted(steps, list(later), factors)]
+
+
+def _gains_by_beginning(
+    steps: Sequence[RecordedStep],
+    likeliest: Sequence[Fitted],
+    promised: Mapping[Slot, int],
+    factors: Factors,
+) -> list[dict[int, float]]:
+    """What causes gain from events on: spread over the trace, then narrowed down.
+
+    promised: the event from which on each slot promises most.
+    """
+    numbers = [[e.number for e, _ in steps if one.slot.touches(e)][1:] for one in likeliest]
     tried = [
         [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(one.slot)])]
         for one, of in zip(likeliest, numbers, strict=True)
@@ -162,13 +183,7 @@ def _later(
                  for of, by in pairs]  # fmt: skip
         narrowed = _gains(steps, likeliest, tried, factors)
         gained = [by | other for by, other in zip(gained, narrowed, strict=True)]
-    later: dict[Slot, tuple[int, int]] = {}
-    for one, by in zip(likeliest, gained, strict=True):
-        if by:
-            alike = [since for since in by if by[since] > max(by.values()) - AS_LIKELY]
-            since = max(by, key=lambda since: by[since])
-            later[one.slot._replace(since=since)] = min(alike), max(alike)
-    return [_Later(one, later[one.slot]) for one in _fitted(steps, list(later), factors)]
+    return gained
 
 
 def _spread(numbers: Sequence[int], low: int, high: int, count: int) -> list[int]:

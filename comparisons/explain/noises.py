@@ -146,10 +146,10 @@ def _stated(slot: NoiseSlot, steps: Sequence[RecordedStep]) -> Iterator[Array]:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
                 if slot.matrix == "P0":
-                    yield _of_block(event.covariance, event.blocks, layout.dims, slot.of)
+                    yield _by_block(event.blocks, layout.dims, event.covariance)[slot.of]
             case Predict():
                 if slot.touches(event):
-                    yield _of_block(event.noise, event.blocks, layout.dims, slot.of)
+                    yield _by_block(event.blocks, layout.dims, event.noise)[slot.of]
             case Update():
                 if slot.touches(event):
                     component = slot.component if slot.component >= 0 else slice(None)
@@ -158,10 +158,10 @@ def _stated(slot: NoiseSlot, steps: Sequence[RecordedStep]) -> Iterator[Array]:
                 layout.follow(event)
 
 
-def _of_block(noise: Array, blocks: Blocks, dims: Mapping[str, int], block: str) -> Array:
-    """The variances of a block."""
-    ends = np.cumsum([dims[name] for name in blocks])
-    return np.split(noise.diagonal(), ends[:-1])[blocks.index(block)]
+def _by_block(blocks: Blocks, dims: Mapping[str, int], noise: Array) -> dict[str, Array]:
+    """The variances of each block."""
+    parts = np.split(noise.diagonal(), np.cumsum([dims[name] for name in blocks])[:-1])
+    return dict(zip(blocks, parts, strict=True))
 
 
 def fitted_noises(
@@ -227,9 +227,8 @@ def _not_zero(
     matrix: str, blocks: Blocks, dims: Mapping[str, int], noise: Array
 ) -> dict[NoiseSlot, None]:
     """Those of blocks whose noise is not zero."""
-    variances = np.split(noise.diagonal(), np.cumsum([dims[block] for block in blocks])[:-1])
-    pairs = zip(blocks, variances, strict=True)
-    return {NoiseSlot(matrix, block): None for block, one in pairs if one.any()}
+    variances = _by_block(blocks, dims, noise)
+    return {NoiseSlot(matrix, block): None for block, part in variances.items() if part.any()}
 
 
 def log_likelihoods(steps: Sequence[RecordedStep], noises: Sequence[Factors]) -> Array:

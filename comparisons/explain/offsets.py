@@ -15,7 +15,7 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import BlockLayout, Replay
 from comparisons.explain.noises import Factors, with_noises
-from comparisons.explain.recorded_steps import RecordedStep
+from comparisons.explain.recorded_steps import RecordedStep, apply_step
 from comparisons.trace.events import (
     Augment,
     Clone,
@@ -177,9 +177,7 @@ class _Sensitivities:
             case Remove():
                 gone = self.replay.layout.columns(event.blocks)
                 self.off = np.delete(self.off, np.arange(self.off.shape[1])[gone], axis=1)
-        self.replay.apply(event)
-        if step.applied is not None:
-            self.replay.mean -= step.applied
+        apply_step(self.replay, step)
         if isinstance(event, Predict):
             self._begin(event)
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import Replay
-from comparisons.trace.events import Event, TracePrior
+from comparisons.audit.replay import Fused, Replay
+from comparisons.trace.events import Event, Predict, TracePrior
 
 
 class RecordedStep(NamedTuple):
@@ -30,3 +30,15 @@ def steps_of(events: Iterable[Event]) -> Iterator[RecordedStep]:
             continue
         done = replay.apply(event)
         yield RecordedStep(event, None if done is None else done.applied)
+
+
+def apply_step(replay: Replay, step: RecordedStep) -> Fused | None:
+    """Let a recursion do an event, and take off what moves a prediction beside it.
+
+    Returns:
+        What an update came to.
+    """
+    fused = replay.apply(step.event)
+    if isinstance(step.event, Predict) and step.applied is not None:
+        replay.mean -= step.applied
+    return fused

@@ -17,7 +17,7 @@ from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Columns, Fused, Replay, square
 from comparisons.explain.noises import Factors, NoiseSlot, with_noises
 from comparisons.explain.offsets import OffsetSlot, interval_s
-from comparisons.explain.recorded_steps import RecordedStep
+from comparisons.explain.recorded_steps import RecordedStep, apply_step
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -103,7 +103,8 @@ def _forwards(steps: Sequence[RecordedStep], factors: Factors) -> tuple[list[_Pa
     passed: list[_Passed] = []
     replay: Replay
     last_s: float | None = None
-    for event, applied in with_noises(steps, factors):
+    for step in with_noises(steps, factors):
+        event = step.event
         match event:
             case TracePrior():
                 replay = Replay(event)
@@ -121,12 +122,10 @@ def _forwards(steps: Sequence[RecordedStep], factors: Factors) -> tuple[list[_Pa
         layout = replay.layout
         dims = tuple(layout.dims[name] for name in blocks)
         one = _Passed(event, layout.size, layout.columns(blocks), dims)
-        one = one._replace(fused=replay.apply(event))
+        one = one._replace(fused=apply_step(replay, step._replace(event=event)))
         if isinstance(event, Predict):
             one = one._replace(interval_s=interval_s(last_s, event.time_s))
             last_s = event.time_s
-            if applied is not None:
-                replay.mean -= applied
         passed.append(one)
     return passed, replay.layout.size
 

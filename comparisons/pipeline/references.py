@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -86,10 +86,36 @@ def reference_ekf(
     return _of_run(EKF, run, time_s, prepared.log.labels), run.before_updates().at(time_s)
 
 
-def variants(prepared: Prepared[SolveConfig], time_s: Array) -> Iterator[Reference]:
-    """Other sound filters on the same log, made when they are asked for."""
-    found = (filter_of(name, kind, prepared, time_s) for name, kind in _VARIANTS.items())
-    yield from (one for one in found if one is not None)
+class SoundFilters:
+    """The reference EKF and the other sound filters on one log, each run once for the same times.
+
+    Estimates that are read in several ways are compared with the same ones.
+    """
+
+    def __init__(self, prepared: Prepared[SolveConfig]) -> None:
+        """prepared: the log, and how the filters are set."""
+        self._prepared = prepared
+        self._ekf: dict[bytes, tuple[Reference, tuple[Array, Array]] | None] = {}
+        self._others: dict[tuple[str, bytes], Reference | None] = {}
+
+    def ekf(self, time_s: Array) -> tuple[Reference, tuple[Array, Array]] | None:
+        """Return the reference EKF at times (K,), as `reference_ekf` does."""
+        times = time_s.tobytes()
+        if times not in self._ekf:
+            self._ekf[times] = reference_ekf(self._prepared, time_s)
+        return self._ekf[times]
+
+    def named(self, name: str, time_s: Array) -> Reference | None:
+        """Return the filter of a name at times (K,); None where it breaks down."""
+        key = name, time_s.tobytes()
+        if key not in self._others:
+            self._others[key] = filter_named(name, self._prepared, time_s)
+        return self._others[key]
+
+    def variants(self, time_s: Array) -> tuple[Reference, ...]:
+        """Return all others than the reference EKF at times (K,) that do not break down."""
+        filters = (self.named(name, time_s) for name in _VARIANTS)
+        return tuple(one for one in filters if one is not None)
 
 
 def smoother(solution: Solution, time_s: Array) -> Reference:

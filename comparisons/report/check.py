@@ -39,7 +39,7 @@ from comparisons.figures import (
     rows_of,
     shown,
 )
-from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.external_trace import TraceCheck
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.known import Known

@@ -41,7 +41,7 @@ from comparisons.statistics import mean_band
 if TYPE_CHECKING:
     from comparisons.checks.consistency.consistency import Consistency, ExternalConsistency
     from comparisons.estimates.reference import Reference
-    from comparisons.jobs.check import ExternalCheck
+    from comparisons.jobs.external_check import ExternalCheck
 
 REFERENCE_COLOUR = "#5c6f2b"
 REFERENCE_COLOURS = (REFERENCE_COLOUR, "#b05f9e", "#8f5d2b")

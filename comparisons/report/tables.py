@@ -18,7 +18,7 @@ from comparisons.errors import InputError, quoted
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import stored
 from comparisons.innovations import SensorInnovations
-from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import Solution

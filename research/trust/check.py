@@ -38,7 +38,8 @@ from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_tr
 from comparisons.faults.algebra import other_gain
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import StateChange, after
-from comparisons.jobs.check import ExternalCheck, check_external
+from comparisons.jobs.external_check import ExternalCheck
+from comparisons.jobs.grading import check_external
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.solve import Solution, solve

@@ -29,6 +29,7 @@ from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import Solution, solve
+from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
 from graphslam.scan import planar
 from research.script import options, print_head, print_row
@@ -109,7 +110,6 @@ class GraphSentences:
 
     named: list[str] = field(default_factory=list)
     located: list[str] = field(default_factory=list)
-    verdict: str = ""
 
 
 def _row(numbers: Array) -> str:
@@ -155,10 +155,7 @@ def drawn_graph(rng: np.random.Generator) -> DrawnGraph:
         edges[FIXES] = _positions(rng, true)
     vertices = true
     if rng.random() < 0.6:
-        reckoned = [true[0]]
-        for motion in edges[CHAIN].z:
-            reckoned.append(planar.wrapped(planar.compose(reckoned[-1], motion)))
-        vertices = np.array(reckoned)
+        vertices = _wrapped(dead_reckoned(true[0], edges[CHAIN].z))
     return DrawnGraph(edges, vertices, true[:, 2], FIXES not in edges or rng.random() < 0.5)
 
 
@@ -278,12 +275,12 @@ def _wrapped(z: Array) -> Array:
 
 
 def _turned(z: Array, angle: Array | float) -> Array:
-    return np.column_stack((plane.turned(z[:, :2], np.asarray(angle)), z[:, 2:]))
+    return np.column_stack((plane.turned(z[:, :2], angle), z[:, 2:]))
 
 
 def _placed(z: Array, frame: Array) -> Array:
     """Points (N, 2) in a frame on the vehicle."""
-    return plane.turned(z - frame[:2], -frame[2:])
+    return plane.turned(z - frame[:2], -frame[2])
 
 
 def _frame(rng: np.random.Generator) -> Array:
@@ -460,7 +457,7 @@ def likelihood(solution: Solution) -> float:
 
 def said_of(solution: Solution) -> GraphSentences:
     """What is named and what is located, of a solution's sentences."""
-    said = GraphSentences(verdict="verified" if solution.verified else "unverified")
+    said = GraphSentences()
     for one in (*solution.lacks, *solution.notes):
         if re.search(r"do not agree; |do not agree with the rest, which fits without them; ", one):
             said.located.append(one)

@@ -424,7 +424,7 @@ def _of_positions(rng: np.random.Generator) -> Iterator[DrawnLogFault]:
     yield DrawnLogFault("positions", "plus a number", _place(lambda p: p + more),
                         r"offset .* m east")  # fmt: skip
     angle = float(rng.choice((-0.3, -0.05, 0.1, 1.0)))
-    yield DrawnLogFault("positions", "turned", _place(lambda p: plane.turned(p, np.asarray(angle))),
+    yield DrawnLogFault("positions", "turned", _place(lambda p: plane.turned(p, angle)),
                         r"frame turned by")  # fmt: skip
     arm = (float(rng.choice((-1.2, 0.8, 2.0))), float(rng.choice((-0.5, 0.0, 0.4))))
     yield DrawnLogFault("antenna", "plus a number", lambda log: _fixes(log, antenna_m=arm),

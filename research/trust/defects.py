@@ -21,7 +21,7 @@ from comparisons.checks.verdict import Verdict
 from comparisons.config import RunConfig
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Fault
-from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.run import REQUIRED, Comparison, Modified, compare, compare_prepared
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.prepare import prepare

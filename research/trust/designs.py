@@ -31,6 +31,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.jobs import check as check_job
 from comparisons.jobs.check import check
+from comparisons.jobs.readings import FAULT, MOTION, READINGS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log as ProjectLog
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
@@ -650,13 +651,13 @@ class Quick:
     def __enter__(self) -> None:
         """Put nothing in their place."""
         job: Any = check_job
-        self.kept = job.fingerprints, job._Job.moved_back
-        job.fingerprints, job._Job.moved_back = lambda *given, **more: [], lambda *given: None
+        self.kept = job.READINGS
+        job.READINGS = [kind for kind in READINGS if kind not in (FAULT, MOTION)]
 
     def __exit__(self, *error: object) -> None:
         """Put them back."""
         job: Any = check_job
-        job.fingerprints, job._Job.moved_back = self.kept
+        job.READINGS = self.kept
 
 
 def outcome(log: ProjectLog, folder: Path, solver: Any) -> tuple[int, str]:

@@ -15,7 +15,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.association_variants import APART, AssociationCheck, check_association
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.jobs.check import check_external
+from comparisons.jobs.grading import check_external
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.solve import solve
 from comparisons.report.models import SolutionResult

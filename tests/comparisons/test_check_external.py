@@ -25,7 +25,8 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import read_estimate, tum_text, write_estimate
 from comparisons.estimates.trajectory_files import in_seconds, retimed
-from comparisons.jobs.check import check, check_external
+from comparisons.jobs.check import check
+from comparisons.jobs.grading import check_external
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.references import filter_named

@@ -24,7 +24,8 @@ from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.figures import stored
-from comparisons.jobs.check import ExternalCheck, check
+from comparisons.jobs.check import check
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.run import Comparison
 from comparisons.pipeline.known import Known
 from comparisons.report.check import EXTERNAL, CheckReport, check_ladder

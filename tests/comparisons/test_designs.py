@@ -1,6 +1,6 @@
 """Legitimate designs of a filter agree, with a trace and without; broken ones of them do not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,11 +13,12 @@ from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.fingerprints.data_use import first_rows, seldom_measured, without
-from comparisons.jobs.check import ExternalCheck, check
+from comparisons.jobs.check import check
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.solve import Solution, solve
-from research.trust.designs import BROKEN, FORMS, LOGS, Design, Filter, results, unlabelled
+from research.trust.designs import BROKEN, FORMS, LOGS, Design, Filter, Quick, results, unlabelled
 from research.trust.designs import read_log as read_plain
 from research.trust.odometry_drives import drive
 from tests.helpers import present
@@ -60,10 +61,10 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
 
 
 @pytest.fixture
-def no_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_names() -> Iterator[None]:
     """The searches for the names of faults take long, and acquit nobody here."""
-    monkeypatch.setattr("comparisons.jobs.check.fingerprints", lambda *given, **more: [])
-    monkeypatch.setattr("comparisons.jobs.check._Job.moved_back", lambda *given: None)
+    with Quick():
+        yield
 
 
 TRACED = (

@@ -11,7 +11,7 @@ from comparisons.checks.diagnosis.duplicate_landmarks import duplicate_cause, du
 from comparisons.checks.grade import Likeness, likeness
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
-from comparisons.jobs.check import check_external
+from comparisons.jobs.grading import check_external
 from comparisons.logs.log import Log
 from comparisons.pipeline.references import EKF, filter_named
 from comparisons.pipeline.solve import prepare_solve, solve

@@ -27,7 +27,9 @@ from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.trace_file import OUTDATED_TRACE, TRACE, read_trace
 from comparisons.faults.catalogue import NAMED, catalogue
 from comparisons.faults.fault import Fault
-from comparisons.jobs.check import ExternalCheck, check, check_external
+from comparisons.jobs.check import check
+from comparisons.jobs.external_check import ExternalCheck
+from comparisons.jobs.grading import check_external
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
@@ -335,7 +337,7 @@ def test_damage_is_one_line(
     tmp_path: Path, plain: Plain, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before any reference filter runs."""
-    monkeypatch.setattr("comparisons.jobs.check._references", pytest.fail)
+    monkeypatch.setattr("comparisons.jobs.grading._references", pytest.fail)
     log, choices, run = plain
     hand_in(run, tmp_path)
     edit, reported = BAD[name]

@@ -33,7 +33,7 @@ from comparisons.jobs.check import check
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import VelocityOdometry
 from comparisons.pipeline.clock import no_progress
-from comparisons.pipeline.references import APART, EKF, KINDS, filter_named, variants
+from comparisons.pipeline.references import APART, EKF, KINDS, SoundFilters, filter_named
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
@@ -304,7 +304,7 @@ def test_a_start_with_exchanged_rows_is_named_by_them(solution: Solution) -> Non
 
 
 def sound_filters(solution: Solution) -> list[Reference]:
-    others = variants(solution.prepared, solution.estimate.time_s)
+    others = SoundFilters(solution.prepared).variants(solution.estimate.time_s)
     return [run(solution, NONE), *(one for one in others if one.name not in APART)]
 
 

@@ -28,11 +28,21 @@ from comparisons.arrays import Array
 from comparisons.checks.agreement import Gap, VarianceBand
 from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.external_agreement import _whole, compare_external
-from comparisons.checks.grade import GRADES, EstimatePart, Grade, _missing, eigenvalues, joint_pair
+from comparisons.checks.grade import (
+    GRADES,
+    EstimatePart,
+    Grade,
+    Graded,
+    _missing,
+    eigenvalues,
+    joint_pair,
+    outcome_of,
+)
 from comparisons.config import EkfConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.jobs.check import ExternalCheck, Graded, by_trace, check_external, outcome_of
+from comparisons.jobs.external_check import ExternalCheck
+from comparisons.jobs.grading import by_trace, check_external
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.references import reference_ekf

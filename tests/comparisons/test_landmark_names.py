@@ -16,7 +16,8 @@ from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.landmark_names import LandmarkNames
 from comparisons.estimates.trace_file import TRACE
-from comparisons.jobs.check import ExternalCheck, check
+from comparisons.jobs.check import check
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.log_meta import toml_text

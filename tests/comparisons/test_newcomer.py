@@ -14,7 +14,7 @@ from comparisons.faults.fault import Method
 from comparisons.fingerprints import search
 from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
-from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve

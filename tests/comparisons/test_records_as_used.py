@@ -19,7 +19,8 @@ from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Plant, observing
 from comparisons.faults.models import FAULTS, expected_wrapped, gx_times, h_times
 from comparisons.jobs import external_trace
-from comparisons.jobs.check import ExternalCheck, check_external
+from comparisons.jobs.external_check import ExternalCheck
+from comparisons.jobs.grading import check_external
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import nieto_loop

@@ -21,7 +21,9 @@ from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE
 from comparisons.fingerprints.clock import works_with_floats, written_from_floats
-from comparisons.jobs.check import ExternalCheck, _Job
+from comparisons.jobs.external_check import ExternalCheck
+from comparisons.jobs.grading import Grader
+from comparisons.jobs.readings import MOTION, READINGS, stated
 from comparisons.logs import stamps
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
@@ -275,14 +277,14 @@ def test_a_wrong_filter_leaves_where_its_fault_is(
     log, solved = tmp_path / "log", list[str]()
     course = Course("since-1970", duration_s=3.0, apart=True, start_ns=1_700_000_000_123_456_789)
     simulate(course, 1, log)
-    started = _Job.started
 
-    def counted(job: _Job, given: ExternalEstimate) -> ExternalCheck:
-        solved.append(job.log.name)
-        return started(job, given)
+    def counted(grader: Grader, given: ExternalEstimate) -> tuple[Grader, ExternalCheck]:
+        solved.append(grader.log.name)
+        return stated(grader, given)
 
-    monkeypatch.setattr(_Job, "moved_back", lambda job, first: None)
-    monkeypatch.setattr(_Job, "started", counted)
+    as_it_is = [kind for kind in READINGS if kind != MOTION]
+    monkeypatch.setattr("comparisons.jobs.check.READINGS", as_it_is)
+    monkeypatch.setattr("comparisons.jobs.check.stated", counted)
     found = since_1970(log, tmp_path / "mine", whole=whole, traced=traced, kind=RANGES)
     assert len(solved) == 1
     assert present(found.departure).measurements

@@ -13,7 +13,8 @@ from comparisons.checks.diagnosis.departure import departure_from
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import read_estimate, read_landmarks
-from comparisons.jobs.check import check, check_external
+from comparisons.jobs.check import check
+from comparisons.jobs.grading import check_external
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import solve

@@ -210,7 +210,7 @@ class Planar:
         except InputError as error:
             return False, done, f"recorder: {error}"
         try:
-            with patch("comparisons.jobs.check.fingerprints", lambda *given, **more: []):
+            with patch("comparisons.jobs.readings.fingerprints", lambda *given, **more: []):
                 result = check(
                     self.log, read_external(folder), CheckConfig(), solver=lambda *_: self.solution
                 )

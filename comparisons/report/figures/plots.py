@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.errors import InputError, quoted
 from comparisons.estimates.estimate import Estimate
-from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import Solution

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.run import Comparison
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.plots import plot_map

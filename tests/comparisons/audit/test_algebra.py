@@ -21,7 +21,8 @@ from comparisons.estimates.trace_file import TRACE
 from comparisons.explain.events import PLAIN, digits
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.grammar import number_text
-from comparisons.jobs.check import ExternalCheck, check_external
+from comparisons.jobs.external_check import ExternalCheck
+from comparisons.jobs.grading import check_external
 from comparisons.jobs.run import Comparison, Modified, repeat_filter
 from comparisons.pipeline.solve import solve
 from comparisons.trace.events import Event, Predict, Snapshot, TracePrior, Update
