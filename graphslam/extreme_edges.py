@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -50,39 +49,6 @@ def extreme_edges(covariance: Array) -> ExtremeEdges:
     if len(size) < _FEWEST or len(rows) > _FEW * len(size):
         rows = rows[:0]
     return ExtremeEdges(rows, 10.0 ** apart[rows])
-
-
-def meant(covariance: Array, extreme: ExtremeEdges) -> Iterator[tuple[str, Array]]:
-    """Yield readings of extreme edges by which they are like the others.
-
-    Args:
-        covariance: (N, n, n) of all edges, as the inverse of what stands for their information.
-        extreme: Of these.
-
-    Yields:
-        What it is that stands there, and (N, n, n) covariances by that.
-    """
-    own, median = covariance[extreme.rows], np.median(_size(covariance))
-    for how, read in READINGS:
-        other = covariance.copy()
-        other[extreme.rows] = read(own)
-        if (np.abs(_size(other[extreme.rows]) - median) < 0.5 * _APART).all():
-            yield how, other
-
-
-def _inverse(covariance: Array) -> Array:
-    """(N, n, n) the informations that were read; NaN where nothing was."""
-    return np.asarray(np.linalg.inv(covariance))
-
-
-def _squared(covariance: Array) -> Array:
-    """(N, n, n) covariances where the upper triangles that were read are roots of informations."""
-    root = np.linalg.inv(np.triu(np.linalg.inv(covariance)))
-    return root @ root.transpose(0, 2, 1)
-
-
-READINGS = (("the covariance", _inverse), ("a square root of it", _squared))
-"""What may stand for an information, and the covariances by that."""
 
 
 def _size(covariance: Array) -> Array:

@@ -90,6 +90,8 @@ _ORDERS = {
     2: {"xx yy xy (diagonal first)": [0, 2, 1]},
 }
 """Other orders of information, and where the entries of the upper triangle stand in each."""
+_FEWEST = 3
+"""Lines that tell the order of their entries."""
 _SINGULAR = 1e-13
 """Least eigenvalue of a definite matrix whose diagonal is near one."""
 
@@ -536,11 +538,20 @@ def _other_order(records: Sequence[_Record], size: int) -> str:
         for name, order in _ORDERS[size].items()
         if inverses(_symmetric(triangles[:, order], size))[1].all()
     ]
+    lines = f"all {len(records)} of these lines"
+    if not fitting:
+        wrong = triangles[~inverses(_symmetric(triangles, size))[1]]
+        fitting = [
+            name
+            for name, order in _ORDERS[size].items()
+            if len(wrong) >= _FEWEST and inverses(_symmetric(wrong[:, order], size))[1].all()
+        ]
+        lines = f"all {len(wrong)} of these lines that are not"
     if not fitting:
         return ""
     usual = {3: "xx xy xh yy yh hh", 2: "xx xy yy"}[size]
     return (
-        f"; read as {' or as '.join(fitting)}, all {len(records)} of these lines are positive "
+        f"; read as {' or as '.join(fitting)}, {lines} are positive "
         f"definite: write the upper triangle by rows ({usual})"
     )
 

@@ -1,7 +1,8 @@
 """The causes in `docs/verdicts.md`, written anew: `python -m tools.verdicts_page`.
 
-What a kind of cause means, what to check, what it decides, the slots of the grammar and the
-formulas of events come from the code. How it is found, examples and how often it errs are by hand.
+What a kind of cause means, what to check, what it decides, the slots of the grammar, the edges of
+graphs and the formulas of events come from the code. How it is found, examples and how often it
+errs are by hand.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import textwrap
 from pathlib import Path
 
 from comparisons.faults.recipes import formulas_in_words
-from comparisons.report.explain import every_explanation, grammar_rows
+from comparisons.report.explain import edge_rows, every_explanation, grammar_rows
 from comparisons.words import DECIDES, Explanation
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdicts.md"
 _TABLE = re.compile(r"\| kind \| .*?\n\n", re.DOTALL)
 _GRAMMAR = re.compile(r"\| slot \| .*?\n\n", re.DOTALL)
+_EDGES = re.compile(r"\| edges of a graph \| .*?\n\n", re.DOTALL)
 _FORMULAS = re.compile(r"\| event \| .*?\n\n", re.DOTALL)
 _SECTION = re.compile(r"^## Cause: (\w+)\n\n(.*?)(?=^## )", re.DOTALL | re.MULTILINE)
 _WIDTH = 120
@@ -31,6 +33,7 @@ def written(page: str) -> str:
     found = list(_SECTION.finditer(page))
     page = page[: found[0].start()] + "".join(sections) + page[found[-1].end() :]
     page = _GRAMMAR.sub(lambda _: _grammar(), page, count=1)
+    page = _EDGES.sub(lambda _: _edges(), page, count=1)
     page = _FORMULAS.sub(lambda _: _formulas(), page, count=1)
     return _TABLE.sub(lambda _: _table(kinds), page, count=1)
 
@@ -39,6 +42,12 @@ def _grammar() -> str:
     rows = [f"| {' | '.join(map(str, row))} |" for row in grammar_rows()]
     head = "| slot | rows | columns | faults | named by |"
     return "\n".join((head, "|---|---|---|---|---|", *rows, "", ""))
+
+
+def _edges() -> str:
+    rows = [f"| {' | '.join(map(str, row))} |" for row in edge_rows()]
+    head = "| edges of a graph | components | faults without a number | with fitted numbers |"
+    return "\n".join((head, "|---|---|---|---|", *rows, "", ""))
 
 
 def _formulas() -> str:

@@ -25,6 +25,8 @@ from comparisons.checks.registry import CHECKS
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.explain.disagreement import disagreement
+from comparisons.explain.edges import EdgeReading, explained, few_misread
 from comparisons.figures import rounded
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
@@ -35,7 +37,6 @@ from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown, render
 from graphslam.association_variants import variants
-from graphslam.misread_edges import EdgeReading, few_misread, misread_edges
 from graphslam.smoother import SmootherEvidence, SmootherOptions
 from graphslam.unclosed import Unclosed, unclosed_passage
 
@@ -54,7 +55,8 @@ class Solution(Shown):
         result: The optimum with the evidence for it.
         estimate: Smoothed poses and landmarks.
         association_check: How its own association compares with others made without labels.
-        misread: How edges between poses fit that do not as they are read; None where they do.
+        misread: How edges fit that do not as they are read; None where they do, or none is known.
+        disagreeing: Which edges do not agree where none fits otherwise; empty where all do.
         few: How the few edges fit whose information is far from that of the others; None where
             there are none, or they do not.
         unclosed: Poses of a graph nearer to each other than its edges tell; None where these do.
@@ -66,6 +68,7 @@ class Solution(Shown):
     estimate: Estimate
     association_check: AssociationCheck | None
     misread: EdgeReading | None = None
+    disagreeing: str = ""
     few: EdgeReading | None = None
     unclosed: Unclosed | None = None
 
@@ -128,16 +131,22 @@ class Solution(Shown):
         return not self.lacks
 
     @property
+    def is_misread(self) -> bool:
+        """Whether edges fit that do not as they are read, so that no sigma means what it says."""
+        return self.misread is not None and not self.misread.is_note
+
+    @property
     def lacks(self) -> list[str]:
         """What is lacking for `verified`: edges, the optimum, the smoother's own association."""
         optimality = self.result.optimality
-        found = lacking(optimality) if self.misread is None else [optimality.lacks]
+        found = [optimality.lacks] if self.is_misread else lacking(optimality)
         return [*self.doubts, *filter(None, found)]
 
     @property
     def doubts(self) -> list[str]:
         """What is lacking but for the optimum's own evidence: how edges are read, association."""
-        found = [] if self.misread is None else [self._reading(self.misread)]
+        found = [self._reading(self.misread)] if self.misread and self.is_misread else []
+        found += [self.disagreeing] if self.disagreeing else []
         checked = self.association_check
         return found if checked is None else [*found, *checked.remarks]
 
@@ -156,7 +165,8 @@ class Solution(Shown):
         extreme = [said["extreme"]] if "extreme" in said else []
         if extreme and self.few is not None:
             extreme = [f"{extreme[0]}; {self._reading(self.few)}"]
-        return [*([said["vertices"]] if "vertices" in said else []), *extreme]
+        noted = [self._reading(self.misread)] if self.misread and not self.is_misread else []
+        return [*([said["vertices"]] if "vertices" in said else []), *extreme, *noted]
 
     @property
     def open_loops(self) -> list[str]:
@@ -237,10 +247,11 @@ def solve(
         name, labels = ("known", log.labels) if known else ("own", {})
         estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name, labels)
     with clock.stage("edges"):
-        optimality = result.optimality
-        misread = misread_edges(result.problem, optimality.chi_square, verified=optimality.verified)
+        is_graph = log.format == "g2o" or log.loop_closures is not None
+        misread = explained(result) if is_graph else None
+        disagreeing = disagreement(result) if is_graph and misread is None else ""
         few = few_misread(result.problem) if "extreme" in log.provenance else None
-        told = misread is None  # else no sigma means what it says
+        told = misread is None or misread.is_note  # else no sigma means what it says
         unclosed = unclosed_passage(result, estimate.pose_covariance) if told else None
     checked = None
     if own is not None and associator is not None:
@@ -254,6 +265,7 @@ def solve(
         estimate=estimate,
         association_check=checked,
         misread=misread,
+        disagreeing=disagreeing,
         few=few,
         unclosed=unclosed,
     )

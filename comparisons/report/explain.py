@@ -111,6 +111,19 @@ def grammar_rows() -> list[tuple[str, str, str, int, str]]:
     ]
 
 
+def edge_rows() -> list[tuple[str, str, int, int]]:
+    """Return each slot of a graph's edges: name, components, changes without and with numbers."""
+    from comparisons.faults.edges import SLOTS, faults_of
+
+    rows = []
+    for slot in SLOTS:
+        every = {fault.kind: fault for fault in faults_of(slot)}.values()
+        fitted = sum(1 for fault in every if fault.change.neutral)
+        components = "x, y, heading" if slot.is_motion else "x, y"
+        rows.append((slot.words, components, len(every) - fitted, fitted))
+    return rows
+
+
 def changes_in_words() -> list[str]:
     """Return what the grammar may say of a part of a slot, each change once."""
     from comparisons.faults.grammar import F, H, Q, compositions
@@ -154,6 +167,19 @@ def composed_faults_in_words() -> str:
         ),
     ]
     lines += [_wrapped(f"  {name}: {text}", 4) for name, text in formulas_in_words().items()]
+    lines += [
+        "",
+        _wrapped(
+            "Edges of a pose graph (solve): what they measure, their ends, or what stands for "
+            "their information. One is named where its optimum leaves the stated noise and is "
+            "likelier by e^20 and more; with the number of changes, and of those that are fitted:",
+            0,
+        ),
+    ]
+    lines += [
+        _wrapped(f"  {name} ({components}): {plain + fitted}; {fitted}", 4)
+        for name, components, plain, fitted in edge_rows()
+    ]
     lines += ["", "Who names them:"]
     lines += [_wrapped(f"  {who:<10}{words}", 12) for who, words in SEEN_BY.items()]
     lines += ["", "Changes, each of a part: all, a row, a column, a block, a term:"]

@@ -40,7 +40,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
         """Return the findings, read being the time that reading the log took."""
         s = solution
         remarks = [*([FRAME] if s.log.prior.open else []), *s.notes, *s.open_loops]
-        if s.misread is None:  # else no sigma means what it says
+        if not s.is_misread:
             remarks += [one for one in s.known.remarks if one not in s.lacks]
         return SolutionResult(
             association_by=s.association_by,
@@ -66,7 +66,8 @@ class SolutionReport(Report[Solution, SolutionResult]):
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
-        too_large = ", sigmas too large" if overstated(test) and not self.found.misread else ""
+        is_large = overstated(test) and not self.found.is_misread
+        too_large = ", sigmas too large" if is_large else ""
         return Summary(
             headline=f"verdict: {result.headline}{too_large}",
             look=result.look,
