@@ -390,8 +390,9 @@ class _Search:
                 continue
             falls[fault.kind] = self._fall(fault)
             starts = [np.array(one) for one in (fault.change.neutral, *fault.change.starts)]
-            starts.sort(key=lambda one, fault=fault: openness(fault, self.problem, one))
-            for start in starts[:_MOST_STARTS]:
+            open_by = [openness(fault, self.problem, one) for one in starts]
+            for k in np.argsort(open_by, kind="stable")[:_MOST_STARTS].tolist():
+                start = starts[k]
                 numbers, score = roughly(fault, self.problem, start)
                 if fault.kind not in rough or score < rough[fault.kind][0]:
                     rough[fault.kind] = score, numbers
@@ -439,7 +440,7 @@ class _Search:
         """Yield the edges without which all others fit: up to a few."""
         problem, goodness, before = self.problem, self.stated, list[str]()
         for _ in range(_MOST_SINGLE):
-            fits = []
+            fits: list[tuple[float, int, EdgeSlot, Goodness]] = []
             for slot in _suspects(goodness)[:_TRIED_SINGLE]:
                 fit = optimum_of(_left_out(problem, slot), any_size=True)
                 if fit is not None:

@@ -15,11 +15,14 @@ from tests.graphslam.g2o_files import rounds
 from tests.graphslam.numerics import Array
 
 
+MOVES = np.column_stack(
+    (np.ones(32), np.zeros(32), np.where(np.arange(32) % 4 == 3, 0.5 * np.pi, 0.0))
+)
+
+
 def squares() -> SlamProblem:
     """Twice round a square, the second lap closed to the first; on a circle no frame shows."""
-    turn = np.where(np.arange(32) % 4 == 3, 0.5 * np.pi, 0.0)
-    moves = np.column_stack((np.ones(32), np.zeros(32), turn))
-    truth = dead_reckoned(np.zeros(3), moves)
+    truth = dead_reckoned(np.zeros(3), MOVES)
     first = np.arange(1, 14)
     second = first + 15 + first % 3
     closed = [planar.between(*pair) for pair in zip(truth[first], truth[second], strict=True)]
@@ -27,7 +30,7 @@ def squares() -> SlamProblem:
     spread = np.diag(sigma**2)
     return replace(
         rounds(),
-        increment=moves + sigma * rng.standard_normal((32, 3)),
+        increment=MOVES + sigma * rng.standard_normal((32, 3)),
         increment_covariance=np.tile(spread, (32, 1, 1)),
         loop_closures=LoopClosures(
             first,
@@ -42,14 +45,15 @@ def laps(step_m: float, *, between_laps: bool) -> SlamProblem:
     """Two laps; closures between neighbours tie no lap to the other, those between laps do."""
     problem, rng = squares(), np.random.default_rng(2)
     noise, short = 3.0 * np.array((0.05, 0.03, 0.01)), np.array((step_m, step_m, 1.0))
-    step = short * problem.increment + noise * rng.standard_normal((32, 3))
+    true = short * MOVES
+    step = true + noise * rng.standard_normal((32, 3))
     spread = np.tile(np.diag(noise**2), (32, 1, 1))
     problem = replace(problem, increment=step, increment_covariance=spread)
     loops = problem.loop_closures
     if between_laps:
         return replace(problem, loop_closures=replace(loops, motion=short * loops.motion))
     first = np.arange(1, 14)
-    motion = np.array([planar.compose(step[i], step[i + 1]) for i in first])
+    motion = np.array([planar.compose(true[i], true[i + 1]) for i in first])
     motion += np.array((0.05, 0.03, 0.01)) * rng.standard_normal((13, 3))
     closures = replace(loops, first=first, second=first + 2, motion=motion)
     return replace(problem, loop_closures=closures)
