@@ -271,10 +271,11 @@ class _Search:
 
     def candidates(self) -> list[EdgeCandidate]:
         """Return all changes that are likelier than the graph as it stands."""
-        every = [*self._plainly([one for one in self.plain if one.change.keeps_weights])]
+        measured = [one for one in self.plain if one.change.keeps_weights]
+        informations = [one for one in self.plain if not one.change.keeps_weights]
+        every = [*self._plainly(measured), *self._plainly(informations)]
         if not any(one.is_sound for one in every):  # else no other leaves so much less
-            informations = [one for one in self.plain if not one.change.keeps_weights]
-            every += [*self._plainly(informations), *self._by_noise(), *self._by_size()]
+            every += [*self._by_noise(), *self._by_size()]
             if self.edges <= MOST_EDGES:
                 every += [*self._by_numbers(), *self._by_single()]
         return every
