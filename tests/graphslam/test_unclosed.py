@@ -14,7 +14,6 @@ from graphslam.unclosed import unclosed_passage
 from tests.graphslam.g2o_files import rounds
 from tests.graphslam.numerics import Array
 
-
 MOVES = np.column_stack(
     (np.ones(32), np.zeros(32), np.where(np.arange(32) % 4 == 3, 0.5 * np.pi, 0.0))
 )
