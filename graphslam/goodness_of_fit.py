@@ -18,7 +18,6 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import identity
 from scipy.special import betainc, erfc, gammainc, gammaincc
 
 from graphslam.arrays import Array, Index
@@ -26,7 +25,7 @@ from graphslam.graph_builder import COMPONENTS, build_graph, last_poses, row_com
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import EXTREME, ChiSquareTest, chi_square_test
 from graphslam.problem import SlamProblem
-from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
+from graphslam.sparse_system import column_lengths, normal_factors, scaled_columns, sparse_system
 
 Mask = NDArray[np.bool_]
 
@@ -42,7 +41,6 @@ _MOST_ROWS = 8192
 """Of more, every so many runs of a block's length are judged: each row costs a solution."""
 _BLOCK = 256
 """Rows that are solved for at a time."""
-_RIDGE = 1e-14
 _TOLERANCE = 1e-6
 """Of an optimum's error, relative."""
 _HEIGHTS = 3, 2, 2, 2, 3, 3, 3
@@ -228,7 +226,7 @@ def _parts(
     rows = row_origins(problem)
     jacobian, right = sparse_system(graph, values, len(rows.component))
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
-    solver = factorised(jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1]))
+    solver = normal_factors(jacobian)
     skipped = max(1, -(-len(rows.component) // _MOST_ROWS))
     number = np.arange(len(rows.component)) // _BLOCK
     known = (rows.component >= 0) & (number % skipped == 0)

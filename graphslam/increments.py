@@ -223,7 +223,7 @@ def compose(samples: MotionSamples, interval: Index, count: int) -> MotionSample
     after = np.arange(1, len(interval) + 1)
     cos, sin = np.cos(heading[after]), np.sin(heading[after])
     east, north = x[last] - x[after], y[last] - y[after]
-    transport = _inverse_adjoint(
+    transport = inverse_adjoint(
         cos * east + sin * north, -sin * east + cos * north, heading[last] - heading[after]
     )
     carried = transport @ samples.covariance @ transport.transpose(0, 2, 1)
@@ -267,7 +267,7 @@ def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> A
         They are additive in the world's frame, as those of estimates.
     """
     nothing = np.zeros(len(covariance))
-    into_world = _inverse_adjoint(nothing, nothing, -poses[1:, 2])
+    into_world = inverse_adjoint(nothing, nothing, -poses[1:, 2])
     step = np.concatenate((prior[None], into_world @ covariance @ into_world.mT))
     place = poses[:, :2] - poses[0, :2]
     back, there = _about(-place), _about(place)
@@ -278,7 +278,7 @@ def dead_reckoned_covariance(prior: Array, poses: Array, covariance: Array) -> A
 
 def _about(place: Array) -> Array:
     """T(p) (K, 3, 3) of places (K, 2)."""
-    return _inverse_adjoint(place[:, 0], place[:, 1], np.zeros(len(place)))
+    return inverse_adjoint(place[:, 0], place[:, 1], np.zeros(len(place)))
 
 
 def _dead_reckoning(displacement: Array) -> tuple[Array, Array, Array]:
@@ -291,10 +291,18 @@ def _dead_reckoning(displacement: Array) -> tuple[Array, Array, Array]:
     return heading, x, y
 
 
-def _inverse_adjoint(x: Array, y: Array, turn: Array) -> Array:
-    """Ad(T^-1) (N, 3, 3) for planar motions T = (x, y, turn).
+def inverse_adjoint(x: Array, y: Array, turn: Array) -> Array:
+    """Return Ad(T^-1) for planar motions T = (x, y, turn).
 
     A right perturbation (u, w) before T equals R^T (u + w (-y, x)), w after it.
+
+    Args:
+        x: (N,) [m].
+        y: (N,) [m].
+        turn: (N,) [rad].
+
+    Returns:
+        (N, 3, 3).
     """
     cos, sin = np.cos(turn), np.sin(turn)
     result = np.zeros((len(x), 3, 3))

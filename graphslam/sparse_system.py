@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse import coo_matrix, csr_matrix, diags, identity
 from scipy.sparse.linalg import SuperLU, splu
 
 from graphslam.arrays import Array
+
+_RIDGE = 1e-14
+"""Added to normal matrices of unit columns."""
 
 
 def sparse_system(
@@ -43,6 +46,14 @@ def factorised(normal: csr_matrix) -> SuperLU:
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
+
+
+def normal_factors(jacobian: csr_matrix) -> SuperLU:
+    """Return the factors of J^T J (n, n) for J (m, n) of unit columns, with a ridge of rounding.
+
+    Raises RuntimeError where it is singular all the same.
+    """
+    return factorised(jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1]))
 
 
 def column_lengths(jacobian: csr_matrix) -> Array:

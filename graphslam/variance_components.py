@@ -19,14 +19,14 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags, identity
+from scipy.sparse import csr_matrix, diags
 from scipy.special import gammaincinv
 
 from graphslam.arrays import Array, Index
 from graphslam.graph_builder import COMPONENTS, row_components
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherEvidence
-from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
+from graphslam.sparse_system import column_lengths, normal_factors, scaled_columns, sparse_system
 
 _DRAWS = 6
 """Random signs with which the norms of W's blocks are estimated: 41 % of one value, over a block of
@@ -38,7 +38,6 @@ _FAR = 2.0
 """Times: a solution that moves a variance farther at once is not trusted."""
 _MOST = 1e6
 """Times the stated variance, or its inverse: data without noise have a millionth."""
-_RIDGE = 1e-14
 
 
 class Component(NamedTuple):
@@ -132,7 +131,7 @@ def _changes(
 ) -> tuple[Array, Array]:
     """(g,) factors of the groups' variances, and their equivalent degrees of freedom."""
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
-    solve = factorised(jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1])).solve
+    solve = normal_factors(jacobian).solve
 
     def left(errors: Array) -> Array:
         rest: Array = errors - jacobian @ solve(jacobian.T @ errors)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from scipy.sparse import identity
 
 from comparisons.arrays import Array
 from comparisons.explain.loops import loop_distances
@@ -27,7 +26,7 @@ from graphslam.optimisers import levenberg_marquardt, optimise, polish
 from graphslam.optimum import chi_square_test
 from graphslam.problem import SlamProblem
 from graphslam.search import relaxed_values
-from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
+from graphslam.sparse_system import column_lengths, normal_factors, scaled_columns, sparse_system
 from graphslam.variance_components import Component, estimate_components
 
 _ROUNDS, _ROUGH_ROUNDS = 6, 8
@@ -55,8 +54,6 @@ _NOISE_TOLERANCE = 1e-6
 """Of an optimum's error, relative."""
 _LARGEST = 1e4
 """Number that no fit goes beyond."""
-RIDGE = 1e-14
-"""Added to normal matrices of unit columns."""
 
 
 def likelihood(goodness: Goodness, log_volume: float = 0.0, *, any_size: bool = False) -> float:
@@ -80,7 +77,7 @@ def likelihood(goodness: Goodness, log_volume: float = 0.0, *, any_size: bool = 
     lengths = column_lengths(jacobian)
     jacobian = scaled_columns(jacobian, lengths)
     try:
-        upper = factorised(jacobian.T @ jacobian + RIDGE * identity(jacobian.shape[1])).U
+        upper = normal_factors(jacobian).U
     except RuntimeError:
         return np.inf
     normal = float(np.log(np.abs(upper.diagonal())).sum() + 2.0 * np.log(lengths).sum())
@@ -332,7 +329,7 @@ def newton_step(
     height = len(row_origins(mended).component)
     jacobian, right = sparse_system(graph, values, height)
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
-    solver = factorised(jacobian.T @ jacobian + RIDGE * identity(jacobian.shape[1]))
+    solver = normal_factors(jacobian)
     slope = np.zeros((height, len(numbers)))
     for k in range(len(numbers)):
         more, size = numbers.copy(), 1e-5
@@ -361,7 +358,7 @@ def are_white(goodness: Goodness, slot: EdgeSlot) -> bool:
     component = row_components(goodness.problem)
     jacobian, right = sparse_system(goodness.graph, goodness.values, len(component))
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
-    solver = factorised(jacobian.T @ jacobian + RIDGE * identity(jacobian.shape[1]))
+    solver = normal_factors(jacobian)
     size = 3 if slot.is_motion else 2
     for kind in slot.kinds:
         numbers = [COMPONENTS.index(name) for name in _COMPONENTS[kind]]

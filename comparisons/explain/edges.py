@@ -15,12 +15,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import identity
 
 from comparisons.arrays import Array
 from comparisons.explain.disagreement import MOST_EDGES
 from comparisons.explain.edge_fits import (
-    RIDGE,
     are_white,
     fitted,
     fitted_noise,
@@ -43,18 +41,17 @@ from comparisons.faults.edges import (
     changes_of_information,
     changes_of_motion,
     columns,
-    composed,
     faults_of,
-    inverse,
     slots,
 )
+from comparisons.plane import in_own_axes
 from graphslam.extreme_edges import extreme_edges
 from graphslam.goodness_of_fit import Goodness, far_less, row_origins
 from graphslam.graph_builder import from_values
 from graphslam.optimum import ChiSquareTest
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherEvidence
-from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
+from graphslam.sparse_system import column_lengths, normal_factors, scaled_columns, sparse_system
 
 _LIKELIER = 40.0
 """Twice the logarithm of the likelihoods' ratio above which a change is no chance."""
@@ -271,19 +268,19 @@ class _Search:
 
     def candidates(self) -> list[EdgeCandidate]:
         """Return all changes that are likelier than the graph as it stands."""
-        measured = [one for one in self.plain if one.change.keeps_weights]
-        informations = [one for one in self.plain if not one.change.keeps_weights]
+        measured = self._screened(one for one in self.plain if one.change.keeps_weights)
+        informations = self._screened(one for one in self.plain if not one.change.keeps_weights)
         every = [*self._plainly(measured), *self._plainly(informations)]
         if not any(one.is_sound for one in every):  # else no other leaves so much less
-            every += [*self._by_noise(), *self._by_size()]
+            every += [*self._by_noise(), *self._by_size(measured)]
             if self.edges <= MOST_EDGES:
                 every += [*self._by_numbers(), *self._by_single()]
         return every
 
-    def _by_size(self) -> Iterator[EdgeCandidate]:
+    def _by_size(self, screened: list[EdgeFault]) -> Iterator[EdgeCandidate]:
         """Yield changes that no chance makes so much lower, the noise of all edges being fitted."""
         stated = likelihood(self.stated, any_size=True)
-        for fault in self._screened(one for one in self.plain if one.change.keeps_weights):
+        for fault in screened:
             goodness = self._optimum_with(fault)
             if goodness is not None and goodness.within and far_less(goodness.test, self.test):
                 words = f"{fault.slot.words} fit {fault.said()}"
@@ -318,9 +315,9 @@ class _Search:
         most = max(_CLOSING, 2.0 * scored[0][0]) if scored else 0.0
         return [fault for score, _, fault in scored[: self.most] if score <= most]
 
-    def _plainly(self, some: list[EdgeFault]) -> Iterator[EdgeCandidate]:
+    def _plainly(self, screened: list[EdgeFault]) -> Iterator[EdgeCandidate]:
         """Yield changes without numbers."""
-        for fault in self._screened(some):
+        for fault in screened:
             goodness = self._optimum_with(fault)
             if goodness is None or goodness.test.reading != "plausible":
                 continue
@@ -502,7 +499,7 @@ def _misses(edges: EdgeColumns, slot: EdgeSlot, poses: Array) -> bool:
     """Whether the single edge of a slot is far from what poses (K, 3) tell."""
     row = np.zeros(0, dtype=np.intp) if slot.rows is None else slot.rows
     first, second, spread = edges.first[row], edges.second[row], edges.covariance[row]
-    apart = composed(inverse(edges.z[row]), composed(inverse(poses[first]), poses[second]))
+    apart = in_own_axes(edges.z[row], in_own_axes(poses[first], poses[second]))
     apart[:, 2] = np.angle(np.exp(1j * apart[:, 2]))
     squared = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(spread), apart)
     return bool((squared > _FAR).any())
@@ -527,7 +524,7 @@ def _suspects(goodness: Goodness) -> list[EdgeSlot]:
     jacobian, right = sparse_system(goodness.graph, goodness.values, len(rows.component))
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
     try:
-        solver = factorised(jacobian.T @ jacobian + RIDGE * identity(jacobian.shape[1]))
+        solver = normal_factors(jacobian)
     except RuntimeError:
         return []
     closings = len(right) - 3 * len(p.loop_closures.first)

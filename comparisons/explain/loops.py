@@ -14,11 +14,11 @@ from comparisons.faults.edges import (
     LANDMARKS,
     POSITIONS,
     EdgeSlot,
-    adjoint,
     columns,
-    composed,
     inverse,
 )
+from comparisons.plane import in_own_axes, rotations, turned
+from graphslam.increments import dead_reckoned, inverse_adjoint
 from graphslam.problem import SlamProblem
 
 _UNKNOWN = 1e4
@@ -64,20 +64,16 @@ class _Way:
     def __init__(self, problem: SlamProblem) -> None:
         motion, spread = problem.increment, problem.increment_covariance.copy()
         spread[~np.isfinite(spread[:, 0, 0])] = _UNKNOWN * np.eye(3)
-        x, y, start = problem.prior_pose
-        heading = start + np.concatenate(([0.0], np.cumsum(motion[:, 2])))
-        steps = np.exp(1j * heading[:-1]) * (motion[:, :2] @ (1.0, 1.0j))
-        place = complex(x, y) + np.concatenate(([0.0], np.cumsum(steps)))
-        self.poses = np.column_stack((place.real, place.imag, heading))
-        turn = adjoint(self.poses[1:])
+        self.poses = dead_reckoned(problem.prior_pose, motion)
+        turn = inverse_adjoint(*inverse(self.poses[1:]).T)
         summed = np.cumsum(turn @ spread @ turn.mT, axis=0)
         self._summed = np.concatenate((np.zeros((1, 3, 3)), summed))
 
     def between(self, first: Index, second: Index) -> tuple[Array, Array]:
         """Motions (N, 3) between poses, and covariances (N, 3, 3) of right perturbations."""
-        motion = composed(inverse(self.poses[first]), self.poses[second])
+        motion = in_own_axes(self.poses[first], self.poses[second])
         sign = np.where(second >= first, 1.0, -1.0)[:, None, None]
-        back = adjoint(inverse(self.poses[second]))
+        back = inverse_adjoint(*self.poses[second].T)
         return motion, back @ (sign * (self._summed[second] - self._summed[first])) @ back.mT
 
 
@@ -93,7 +89,7 @@ def _whitened(residual: Array, covariance: Array) -> Array:
 def _of_closures(problem: SlamProblem, way: _Way) -> Array:
     closed = problem.loop_closures
     motion, spread = way.between(closed.first, closed.second)
-    apart = composed(inverse(closed.motion), motion)
+    apart = in_own_axes(closed.motion, motion)
     apart[:, 2] = np.angle(np.exp(1j * apart[:, 2]))
     return _whitened(apart, spread + closed.covariance)
 
@@ -109,18 +105,14 @@ def _of_landmarks(problem: SlamProblem, way: _Way) -> Array:
     one, other = one[later], other[later]
     motion, spread = way.between(edges.first[one], edges.first[other])
     x, y = edges.z[other].T
-    turn = np.exp(1j * motion[:, 2])
-    there = motion[:, :2] @ (1.0, 1.0j) + turn * (x + 1j * y)
-    apart = edges.z[one] @ (1.0, 1.0j) - there
-    cos, sin = turn.real, turn.imag
-    rotation = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
+    apart = edges.z[one] - (motion[:, :2] + turned(edges.z[other], motion[:, 2]))
+    rotation = rotations(motion[:, 2])
     slope = np.zeros((len(x), 2, 3))
     slope[:, 0, 0] = slope[:, 1, 1] = 1.0
     slope[:, 0, 2], slope[:, 1, 2] = -y, x
     slope = rotation @ slope
     noise = edges.covariance[one] + rotation @ edges.covariance[other] @ rotation.mT
-    residual = np.column_stack((apart.real, apart.imag))
-    return _whitened(residual, noise + slope @ spread @ slope.mT)
+    return _whitened(apart, noise + slope @ spread @ slope.mT)
 
 
 def _of_positions(problem: SlamProblem, way: _Way) -> Array:
@@ -128,9 +120,7 @@ def _of_positions(problem: SlamProblem, way: _Way) -> Array:
     if problem.open_prior:
         return np.zeros((0, 2))
     _, spread = way.between(np.zeros_like(at), at)
-    heading = way.poses[at, 2]
-    cos, sin = np.cos(heading), np.sin(heading)
-    rotation = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
+    rotation = rotations(way.poses[at, 2])
     noise = problem.position_covariance + rotation @ spread[:, :2, :2] @ rotation.mT
     noise = noise + problem.prior_covariance[:2, :2]
     return _whitened(problem.position - way.poses[at, :2], noise)

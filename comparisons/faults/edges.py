@@ -16,7 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.plane import in_own_axes, rotations, turned
 from graphslam.problem import LoopClosures, SlamProblem
+from graphslam.scan import planar
 from graphslam.sensor_frame import in_words
 
 ODOMETRY, CLOSURES, LANDMARKS, POSITIONS = "odometry", "closures", "landmarks", "positions"
@@ -248,8 +250,7 @@ def _with_points(problem: SlamProblem, edges: EdgeColumns) -> SlamProblem:
 
 def _across(angle: Array, sigma: Array) -> Array:
     """(N, 2, 2) covariances with sigmas (N, 2) along and across an angle (N,)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    turn = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
+    turn = rotations(angle)
     return np.asarray(turn * sigma[:, None] ** 2 @ turn.mT)
 
 
@@ -554,25 +555,13 @@ def _said_motion(numbers: Array, widths: Array) -> str:
 def composed(first: Array, second: Array) -> Array:
     """(N, 3) motions (N, 3) or (3,), the second in the frame that the first leads to."""
     first, second = np.broadcast_arrays(first, second)
-    moved = first[:, :2] @ (1.0, 1.0j) + np.exp(1j * first[:, 2]) * (second[:, :2] @ (1.0, 1.0j))
-    return np.column_stack((moved.real, moved.imag, first[:, 2] + second[:, 2]))
+    place = first[:, :2] + turned(second[:, :2], first[:, 2])
+    return np.column_stack((place, first[:, 2] + second[:, 2]))
 
 
 def inverse(motion: Array) -> Array:
     """(N, 3) the motions back."""
-    back = -np.exp(-1j * motion[:, 2]) * (motion[:, :2] @ (1.0, 1.0j))
-    return np.column_stack((back.real, back.imag, -motion[:, 2]))
-
-
-def adjoint(motion: Array) -> Array:
-    """(N, 3, 3) that take right perturbations before a motion (N, 3) into those after its inverse.
-
-    Ad(T): a perturbation behind T is Ad(T) times as large in front of it.
-    """
-    x, y, heading = motion.T
-    cos, sin, none = np.cos(heading), np.sin(heading), np.zeros(len(motion))
-    entries = (cos, -sin, y, sin, cos, -x, none, none, none + 1.0)
-    return np.stack(entries, axis=-1).reshape(-1, 3, 3)
+    return in_own_axes(motion, np.zeros(3))
 
 
 def _turned_by_itself(times: float, edges: EdgeColumns, _: Array) -> EdgeColumns:
@@ -580,8 +569,7 @@ def _turned_by_itself(times: float, edges: EdgeColumns, _: Array) -> EdgeColumns
 
 
 def _with_turned(edges: EdgeColumns, angle: Array) -> EdgeColumns:
-    moved = edges.z[:, :2] @ (1.0, 1.0j) * np.exp(1j * angle)
-    return edges._replace(z=np.column_stack((moved.real, moved.imag, *edges.z[:, 2:].T)))
+    return edges._replace(z=np.column_stack((turned(edges.z[:, :2], angle), edges.z[:, 2:])))
 
 
 def _of_vehicle(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
@@ -592,7 +580,7 @@ def _of_vehicle(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
 
 
 def _without_before(_: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
-    return edges._replace(z=composed(inverse(np.atleast_2d(frame)), edges.z))
+    return edges._replace(z=in_own_axes(np.atleast_2d(frame), edges.z))
 
 
 def _without_after(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
@@ -604,15 +592,13 @@ def _without_after(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColum
 def _carried(covariance: Array, motion: Array, carried: bool) -> Array:
     if not carried:
         return covariance
-    [turn] = adjoint(motion)
-    return np.asarray(turn @ covariance @ turn.T)
+    return planar.carried(covariance, inverse(motion)[0])
 
 
 def _placed(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
     """Points in the vehicle's frame or the map's, from those in another."""
-    moved = edges.z @ (1.0, 1.0j) * np.exp(1j * frame[2]) + complex(*frame[:2])
-    spread, (cos, sin) = edges.covariance, (np.cos(frame[2]), np.sin(frame[2]))
+    spread = edges.covariance
     if carried:
-        turn = np.array(((cos, -sin), (sin, cos)))
+        [turn] = rotations(frame[2:])
         spread = turn @ spread @ turn.T
-    return edges._replace(z=np.column_stack((moved.real, moved.imag)), covariance=spread)
+    return edges._replace(z=turned(edges.z, frame[2]) + frame[:2], covariance=spread)

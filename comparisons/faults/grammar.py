@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
+from comparisons.plane import rotations
 
 Mask = NDArray[np.bool_]
 Text = str | Callable[..., str]
@@ -447,8 +448,7 @@ def _turned(slot: Slot, sign: float) -> Callable[[Values], Array]:
             raise ValueError("heading is None, expected the vehicle's")
         angle, size = sign * values.heading, slot.shape[0]
         turn = np.tile(np.eye(size), (len(angle), 1, 1))
-        cos, sin = np.cos(angle), np.sin(angle)
-        turn[:, :2, :2] = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
+        turn[:, :2, :2] = rotations(angle)
         moved: Array = turn @ values.sound
         return moved @ turn.mT if slot.covariance else moved
 
