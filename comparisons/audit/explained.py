@@ -1,4 +1,4 @@
-"""What is off in the innovations, explained by noises that are not as stated and by constants."""
+"""What is off in the innovations, explained by other noises, by constants, by other Jacobians."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from itertools import islice
 from typing import NamedTuple
 
 from comparisons.audit.consistency import departures, step_innovations
-from comparisons.explain.likeliest import Fitted, InnovationCause, likeliest_cause
+from comparisons.explain.jacobians import JacobianChange, JacobianSlot, with_jacobians
+from comparisons.explain.likeliest import AnySlot, Fitted, InnovationCause, likeliest_cause
 from comparisons.explain.noises import Factors, NoiseFactor, NoiseSlot, readings, with_noises
 from comparisons.explain.offsets import Offset, without_offsets
 from comparisons.explain.recorded_steps import RecordedStep, steps_of
-from comparisons.explain.scores import Slot
 from comparisons.innovations import NO_SENSOR
 from comparisons.trace.events import Event, Predict, SensorDescription
 
@@ -20,6 +20,8 @@ _MOST_EVENTS = 20_000
 """Of a trace, from its beginning, in which causes are sought."""
 _MOST_UNASKED = 2_000
 """The same where nothing is off."""
+_MOST_SAID = 3
+"""Causes that are as likely, beside the first."""
 _NAMED = 1e-3
 """Share of sound traces of which a cause may be named."""
 
@@ -27,7 +29,7 @@ Sensors = Mapping[str, SensorDescription]
 
 
 class ExplainedInnovations(NamedTuple):
-    """Noises and constants that the residuals ask for.
+    """Noises, constants and Jacobians that the residuals ask for.
 
     Attributes:
         what: In words.
@@ -42,14 +44,18 @@ class ExplainedInnovations(NamedTuple):
     causes: tuple[InnovationCause, ...]
 
     def taken_in(self, steps: Iterable[RecordedStep]) -> Iterator[RecordedStep]:
-        """Return the events as they are with the causes: other noises, without constants."""
+        """Return the events as they are with the causes taken in."""
         return _taken_in(self.causes, steps)
 
     @property
     def sensor(self) -> str | None:
         """The sensor that the first cause is of, if it is of one."""
         slot = self.causes[0].slot
-        is_of_sensor = slot.matrix == "R" if isinstance(slot, NoiseSlot) else not slot.is_predicted
+        match slot:
+            case NoiseSlot() | JacobianSlot():
+                is_of_sensor = slot.matrix in ("R", "H")
+            case _:
+                is_of_sensor = not slot.is_predicted
         return slot.of if is_of_sensor else None
 
 
@@ -58,7 +64,7 @@ def explained_innovations(
 ) -> ExplainedInnovations | None:
     """Return what explains the innovations best; None if nothing is likelier than chance.
 
-    Causes are joined, each on top of those before it, until nothing is off or no more is told.
+    Causes are joined, each on top of those before it, until no more is told.
 
     Args:
         events: Of a trace whose algebra is sound; of a long one gone through several times.
@@ -70,9 +76,10 @@ def explained_innovations(
     steps = list(islice(steps_of(events), most))
     causes: list[InnovationCause] = []
     left: list[str] = []
-    while len(causes) < _MOST_CAUSES and (left or not causes):
-        factors, offsets = _of_kind(causes)
-        cause = likeliest_cause(list(without_offsets(steps, offsets)), factors, _NAMED)
+    still_off = is_off
+    while len(causes) < _MOST_CAUSES and not _are_apart(causes):
+        before = list(_without_noises(causes, steps))
+        cause = likeliest_cause(before, _factors(causes), _NAMED, sensors, is_off=still_off)
         if cause is None:
             break
         causes.append(cause)
@@ -84,32 +91,56 @@ def explained_innovations(
             for each in departures(one, level)
             if each.fault
         ]
+        still_off = bool(left)
     if not causes:
         return None
     what = " and ".join(_said(one, steps, sensors) for one in causes)
-    if left:
+    apart = _are_apart(causes)
+    if apart:
+        what = f"residuals are likelier with {what}, but no one of these by itself explains them"
+    elif left:
         what = f"residuals are likelier with {what}, but that leaves {left[0]}"
     elif is_off:
         what += ": with that nothing is off in the innovations"
     else:
         what = f"residuals are likelier with {what}, though no figure of theirs leaves its band"
     name = _words(causes[0].slot, sensors)
-    return ExplainedInnovations(what, name, not left, tuple(causes))
+    return ExplainedInnovations(what, name, not (left or apart), tuple(causes))
 
 
-def _of_kind(causes: Iterable[InnovationCause]) -> tuple[Factors, list[Offset]]:
-    """Causes as factors on noises, and as constants."""
+def _are_apart(causes: Iterable[InnovationCause]) -> bool:
+    """Whether another Jacobian is among causes that are not all numbers of one Jacobian.
+
+    A Jacobian that comes near what is wrong leaves the rest to other causes: none of them is so.
+    """
     fitted = [one.fitted for one in causes]
-    factors = {one.slot: one.factor for one in fitted if isinstance(one, NoiseFactor)}
-    return factors, [one for one in fitted if isinstance(one, Offset)]
+    changes = [one for one in fitted if isinstance(one, JacobianChange)]
+    whole = {one.slot._replace(change="") for one in changes}
+    is_of_one = len(whole) == 1 and len(changes) == len(fitted) and all(c.numbers for c in changes)
+    return len(fitted) > 1 and bool(changes) and not is_of_one
+
+
+def _factors(causes: Iterable[InnovationCause]) -> Factors:
+    """Of those causes that are of noises."""
+    fitted = [one.fitted for one in causes]
+    return {one.slot: one.factor for one in fitted if isinstance(one, NoiseFactor)}
+
+
+def _without_noises(
+    causes: Iterable[InnovationCause], steps: Iterable[RecordedStep]
+) -> Iterator[RecordedStep]:
+    """Events with other Jacobians, and without constants."""
+    fitted = [one.fitted for one in causes]
+    offsets = [one for one in fitted if isinstance(one, Offset)]
+    jacobians = [one for one in fitted if isinstance(one, JacobianChange)]
+    return without_offsets(with_jacobians(steps, jacobians), offsets)
 
 
 def _taken_in(
     causes: Iterable[InnovationCause], steps: Iterable[RecordedStep]
 ) -> Iterator[RecordedStep]:
-    """Events with other noises, and without constants."""
-    factors, offsets = _of_kind(causes)
-    return with_noises(without_offsets(steps, offsets), factors)
+    """Events with other noises and Jacobians, and without constants."""
+    return with_noises(_without_noises(causes, steps), _factors(causes))
 
 
 def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -> str:
@@ -120,19 +151,24 @@ def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -
         between = f" ({first:,} to {last:,})" if first != last else ""
         since = f" from event {fitted.slot.since:,}{between} on"
     text, interval = _with_number(fitted, steps, sensors)
-    text += f"{since} ({interval}, p = {cause.p_value:.1g})"
+    text += f"{since} ({interval and f'{interval}, '}p = {cause.p_value:.1g})"
     if isinstance(fitted, NoiseFactor) and (written := readings(fitted, steps)):
         text += f", {' or '.join(written)}"
-    others = (_with_number(one, steps, sensors)[0] for one in cause.others)
+    others = [_with_number(one, steps, sensors)[0] for one in cause.others]
+    if len(others) > _MOST_SAID:
+        others[_MOST_SAID - 1 :] = [f"one of {len(others) - _MOST_SAID + 1} others"]
     return text + "".join(f", or {other}" for other in others)
 
 
-def _words(slot: Slot, sensors: Sensors) -> str:
+def _words(slot: AnySlot, sensors: Sensors) -> str:
     return slot.words(sensors.get(slot.of, NO_SENSOR).components)
 
 
 def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) -> tuple[str, str]:
-    """A cause with its number, and the interval of that."""
+    """A cause with its number, and the interval of that; empty without one."""
+    if isinstance(fitted, JacobianChange):
+        low, high = fitted.interval
+        return fitted.said(), f"{low:.3g} to {high:.3g}" if fitted.numbers else ""
     words = _words(fitted.slot, sensors)
     if isinstance(fitted, NoiseFactor):
         text = f"{words} {fitted.factor:.3g} times the stated one"
@@ -140,6 +176,6 @@ def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) ->
     low, high = fitted.value - 1.96 * fitted.sigma, fitted.value + 1.96 * fitted.sigma
     unit = ""
     if fitted.slot.is_predicted:
-        timed = all(e.time_s is not None for e, _ in steps if isinstance(e, Predict))
+        timed = all(e.time_s is not None for e, *_ in steps if isinstance(e, Predict))
         unit = " per second" if timed else " each time"
     return f"a constant {fitted.value:+.3g}{unit} in {words}", f"{low:.3g} to {high:.3g}"

@@ -1,13 +1,23 @@
-"""The one noise or constant that makes residuals likeliest: by derivatives first, then fitted."""
+"""The one noise, constant or Jacobian that makes residuals likeliest.
+
+By derivatives of the likelihood first; those that promise most are fitted.
+"""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from scipy.special import gammaincc
 
+from comparisons.explain.jacobians import (
+    JacobianChange,
+    JacobianSlot,
+    jacobian_groups,
+    tried_jacobians,
+)
 from comparisons.explain.noises import (
     Factors,
     NoiseFactor,
@@ -18,12 +28,15 @@ from comparisons.explain.noises import (
 )
 from comparisons.explain.offsets import Offset, OffsetSlot, fitted_offsets, offset_slots
 from comparisons.explain.recorded_steps import RecordedStep
-from comparisons.explain.scores import ScoredSlot, Slot, scored_slots
+from comparisons.explain.scores import ScoredSlot, Slot, likelihood_slopes
+from comparisons.trace.events import SensorDescription
 
 LATER = 4.0
 """By how much more the likelihood's logarithm must gain from some event on than of the whole."""
 AS_LIKELY = 4.0
 """Difference of logarithms of likelihoods, within which another cause is as good."""
+_NOT_TOLD_APART = 7.0
+"""The same, within which another cause is named beside: so much may a fitted number bring."""
 _MOST_FITTED = 8
 """Slots that are fitted, of those whose derivatives promise most."""
 _LEAST_PROMISE, _LEAST_FITTED = 3.0, 5.0
@@ -33,11 +46,13 @@ _BEGINNINGS = 24
 _ROUNDS, _MOST_NARROWED = 3, 3
 """How often this is repeated, and for how many causes."""
 
-Fitted = NoiseFactor | Offset
+Numbered = NoiseFactor | Offset
+AnySlot = Slot | JacobianSlot
+Fitted = Numbered | JacobianChange
 
 
 class InnovationCause(NamedTuple):
-    """A noise that is not as stated, or a constant, that residuals show.
+    """A noise or Jacobian that is not as stated, or a constant, that residuals show.
 
     Attributes:
         fitted: Which, and its number.
@@ -52,13 +67,27 @@ class InnovationCause(NamedTuple):
     begun: tuple[int, int] = (0, 0)
 
     @property
-    def slot(self) -> Slot:
+    def slot(self) -> AnySlot:
         """Where."""
         return self.fitted.slot
 
 
+class _Candidate(NamedTuple):
+    """A cause, with what it gains less what it must gain more, and where it begins."""
+
+    fitted: Fitted
+    rank: float
+    p_value: float
+    begun: tuple[int, int] = (0, 0)
+
+
 def likeliest_cause(
-    steps: Sequence[RecordedStep], factors: Factors, level: float
+    steps: Sequence[RecordedStep],
+    factors: Factors,
+    level: float,
+    sensors: Mapping[str, SensorDescription],
+    *,
+    is_off: bool = True,
 ) -> InnovationCause | None:
     """Return the cause that explains most, if chance does not.
 
@@ -66,40 +95,77 @@ def likeliest_cause(
         steps: Of a trace, from its prior on.
         factors: On its noises, that are there already.
         level: Share of sound traces for which one may be named.
+        sensors: What is known of them.
+        is_off: Something is known to be off. Where it is not, Jacobians are tried only if another
+            noise or a constant would be named.
     """
-    known = {_whole(slot) for slot in factors}
-    slots: list[Slot] = [
-        *(one for one in noise_slots(steps) if one not in known),
-        *offset_slots(steps),
-    ]
-    promising = sorted(scored_slots(steps, slots, factors), key=_promise)[-_MOST_FITTED:]
-    if not promising or _promise(promising[-1]) < _LEAST_PROMISE:
+    candidates = _numbered(steps, factors)
+    if is_off or any(one.p_value < level for one in candidates):
+        candidates += _of_jacobians(steps, factors, sensors)
+    if not candidates:
         return None
+    best = _simplest(max(candidates, key=lambda one: one.rank), candidates)
+    if not best.p_value < level:
+        return None
+    alike = [one for one in candidates if _is_alike(one, best)]
+    others = {_whole(one.fitted.slot): one.fitted for one in sorted(alike, key=lambda c: c.rank)}
+    others.pop(_whole(best.fitted.slot), None)
+    return InnovationCause(best.fitted, best.p_value, tuple(reversed(others.values())), best.begun)
+
+
+def _is_alike(one: _Candidate, best: _Candidate) -> bool:
+    """Whether a cause is as likely as the best, with or without what it must gain more."""
+    least, least_gained = best.rank - _NOT_TOLD_APART, best.fitted.gained - _NOT_TOLD_APART
+    return one.rank >= least or one.fitted.gained >= least_gained
+
+
+def _of_jacobians(
+    steps: Sequence[RecordedStep], factors: Factors, sensors: Mapping[str, SensorDescription]
+) -> list[_Candidate]:
+    """Other Jacobians; of many more there are than of numbers, so each must gain more."""
+    groups = jacobian_groups(steps)
+    asked = {number for group in groups for number in group.numbers}
+    gradients = likelihood_slopes(steps, [], factors, asked).gradients
+    tried = tried_jacobians(steps, factors, groups, gradients, sensors)
+    log_count = math.log(max(1, tried.total))
+    more = max(0.0, log_count - math.log(max(1, len(_slots(steps, factors)))))
+    return [
+        _Candidate(one, one.gained - more, math.exp(min(0.0, log_count - one.gained)))
+        for one in tried.changes
+    ]
+
+
+def _slots(steps: Sequence[RecordedStep], factors: Factors) -> list[Slot]:
+    """Noises and constants of the whole trace, without those that are known."""
+    known = {_whole(slot) for slot in factors}
+    noises = [one for one in noise_slots(steps) if one not in known]
+    return [*noises, *offset_slots(steps)]
+
+
+def _numbered(steps: Sequence[RecordedStep], factors: Factors) -> list[_Candidate]:
+    """The likeliest noises and constants, of the whole trace and from some event on."""
+    scored = likelihood_slopes(steps, _slots(steps, factors), factors).scored()
+    promising = sorted(scored, key=_promise)[-_MOST_FITTED:]
+    if not promising or _promise(promising[-1]) < _LEAST_PROMISE:
+        return []
     whole = _fitted(steps, [one.slot for one in promising], factors)
     if not whole:
-        return None
+        return []
     later = _later(steps, promising, whole, factors)
-    fits = [*whole, *(one.fitted for one in later)]
-    best, begun = _simplest(whole), (0, 0)
-    least = best.gained + LATER
-    for one in later:
-        if one.fitted.gained > max(best.gained, least):
-            best, begun = one.fitted, one.begun
-    p_value = min(1.0, len(slots) * float(gammaincc(0.5, max(0.0, _rank(best)))))
-    if not p_value < level:
-        return None
-    alike = [one for one in fits if _rank(one) > _rank(best) - AS_LIKELY]
-    others = {_whole(one.slot): one for one in sorted(alike, key=_rank)}
-    others.pop(_whole(best.slot), None)
-    return InnovationCause(best, p_value, tuple(reversed(others.values())), begun)
+    return [
+        *(_candidate(one, len(scored)) for one in whole),
+        *(_candidate(one.fitted, len(scored), one.begun) for one in later),
+    ]
 
 
-def _rank(one: Fitted) -> float:
-    """What a cause gains, less what one from some event on must gain more."""
-    return one.gained - (LATER if one.slot.since else 0.0)
+def _candidate(one: Numbered, count: int, begun: tuple[int, int] = (0, 0)) -> _Candidate:
+    """A cause with one number, of so many."""
+    rank = one.gained - (LATER if one.slot.since else 0.0)
+    p_value = min(1.0, count * float(gammaincc(0.5, max(0.0, rank))))
+    return _Candidate(one, rank, p_value, begun)
 
 
-def _whole(slot: Slot) -> Slot:
+def _whole(slot: AnySlot) -> AnySlot:
     return slot._replace(since=0)
 
 
@@ -107,40 +173,51 @@ def _promise(one: ScoredSlot) -> float:
     return max(one.gained, one.gained_since)
 
 
-def _fitted(steps: Sequence[RecordedStep], slots: Sequence[Slot], factors: Factors) -> list[Fitted]:
+def _fitted(
+    steps: Sequence[RecordedStep], slots: Sequence[Slot], factors: Factors
+) -> list[Numbered]:
     """Causes of slots, those that are told."""
     noises = [slot for slot in slots if isinstance(slot, NoiseSlot)]
     offsets = [slot for slot in slots if isinstance(slot, OffsetSlot)]
     return [*fitted_noises(steps, noises, factors), *fitted_offsets(steps, offsets, factors)]
 
 
-def _simplest(fits: Sequence[Fitted]) -> Fitted:
-    """The likeliest; of all of a sensor's noise before that of a component, if it is as likely."""
-    best = max(fits, key=lambda one: one.gained)
-    if isinstance(best.slot, NoiseSlot) and best.slot.component >= 0:
-        every = best.slot._replace(component=-1)
-        for one in fits:
-            if one.slot == every and one.gained > best.gained - AS_LIKELY:
-                return one
+def _simplest(best: _Candidate, candidates: Sequence[_Candidate]) -> _Candidate:
+    """Of a simpler cause in the place of the best, if one is as likely.
+
+    All of a sensor's noise is simpler than that of a component, and a change of a Jacobian without
+    a number than one with it.
+    """
+    alike = [one for one in candidates if one.rank >= best.rank - AS_LIKELY]
+    fitted, slot = best.fitted, best.fitted.slot
+    if isinstance(slot, NoiseSlot) and slot.component >= 0 and not slot.since:
+        every = slot._replace(component=-1)
+        return next((one for one in alike if one.fitted.slot == every), best)
+    if isinstance(fitted, JacobianChange) and fitted.numbers:
+        plain = [
+            one for one in alike
+            if isinstance(one.fitted, JacobianChange) and not one.fitted.numbers
+        ]  # fmt: skip
+        return max(plain, key=lambda one: one.rank, default=best)
     return best
 
 
 class _Later(NamedTuple):
     """A cause from some event on, and the first and last event from which it is as likely."""
 
-    fitted: Fitted
+    fitted: Numbered
     begun: tuple[int, int]
 
 
 def _later(
     steps: Sequence[RecordedStep],
     promising: Sequence[ScoredSlot],
-    whole: Sequence[Fitted],
+    whole: Sequence[Numbered],
     factors: Factors,
 ) -> list[_Later]:
     """The likeliest causes, each from the event on from which it is likeliest."""
     begun = [one.slot._replace(since=one.since) for one in promising if one.since]
-    by_slot = {one.slot: one for one in whole}
+    by_slot: dict[AnySlot, Numbered] = {one.slot: one for one in whole}
     for one in _fitted(steps, begun, factors):
         before = by_slot.get(_whole(one.slot))
         if before is not None and one.gained > before.gained:
@@ -148,12 +225,13 @@ def _later(
     likeliest = list(by_slot.values())
     if not max(one.gained for one in likeliest) > _LEAST_FITTED:
         return []
-    promised = {one.slot: one.since for one in promising}
+    promised: dict[AnySlot, int] = {one.slot: one.since for one in promising}
     gained = _gains_by_beginning(steps, likeliest, promised, factors)
     later: dict[Slot, tuple[int, int]] = {}
     for one, by in zip(likeliest, gained, strict=True):
-        if by:
-            alike = [since for since in by if by[since] > max(by.values()) - AS_LIKELY]
+        if by and math.isfinite(max(by.values())):
+            most = max(by.values())  # of a filter that diverges so much that 4 less is the same
+            alike = [since for since in by if by[since] >= most - AS_LIKELY]
             since = max(by, key=lambda since: by[since])
             later[one.slot._replace(since=since)] = min(alike), max(alike)
     return [_Later(one, later[one.slot]) for one in _fitted(steps, list(later), factors)]
@@ -161,15 +239,15 @@ def _later(
 
 def _gains_by_beginning(
     steps: Sequence[RecordedStep],
-    likeliest: Sequence[Fitted],
-    promised: Mapping[Slot, int],
+    likeliest: Sequence[Numbered],
+    promised: Mapping[AnySlot, int],
     factors: Factors,
 ) -> list[dict[int, float]]:
     """What causes gain from events on: spread over the trace, then narrowed down.
 
     promised: the event from which on each slot promises most.
     """
-    numbers = [[e.number for e, _ in steps if one.slot.touches(e)][1:] for one in likeliest]
+    numbers = [[e.number for e, *_ in steps if one.slot.touches(e)][1:] for one in likeliest]
     tried = [
         [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(one.slot)])]
         for one, of in zip(likeliest, numbers, strict=True)
@@ -210,7 +288,7 @@ def _about(numbers: Sequence[int], gained: Mapping[int, float]) -> list[int]:
 
 def _gains(
     steps: Sequence[RecordedStep],
-    causes: Sequence[Fitted],
+    causes: Sequence[Numbered],
     beginnings: Sequence[Sequence[int]],
     factors: Factors,
 ) -> list[dict[int, float]]:

@@ -130,7 +130,7 @@ def readings(one: NoiseFactor, steps: Sequence[RecordedStep]) -> list[str]:
     if len(stated) == 1 and (variance := stated.pop()) > 0.0:
         factors["as of a sigma where its square should be"] = variance
         factors["as of a variance that was squared"] = variance**-0.5
-    times = [e.time_s for e, _ in steps if isinstance(e, Predict) and e.time_s is not None]
+    times = [e.time_s for e, *_ in steps if isinstance(e, Predict) and e.time_s is not None]
     intervals = set(np.round(np.diff(times), 9).tolist())
     if one.slot.matrix == "Q" and len(intervals) == 1 and (interval := intervals.pop()) > 0.0:
         factors["as of a noise that is not multiplied by the interval"] = interval
@@ -141,7 +141,7 @@ def readings(one: NoiseFactor, steps: Sequence[RecordedStep]) -> list[str]:
 def _stated(slot: NoiseSlot, steps: Sequence[RecordedStep]) -> Iterator[Array]:
     """Yield a noise's variances, of each event."""
     layout = BlockLayout()
-    for event, _ in steps:
+    for event, *_ in steps:
         match event:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
@@ -205,7 +205,7 @@ def noise_slots(steps: Sequence[RecordedStep]) -> list[NoiseSlot]:
     slots: dict[NoiseSlot, None] = {}
     layout = BlockLayout()
     widths: dict[str, set[int]] = {}
-    for event, _ in steps:
+    for event, *_ in steps:
         match event:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
@@ -231,8 +231,11 @@ def _not_zero(
     return {NoiseSlot(matrix, block): None for block, part in variances.items() if part.any()}
 
 
-def log_likelihoods(steps: Sequence[RecordedStep], noises: Sequence[Factors]) -> Array:
-    """Return (N,) logarithms of the residuals' likelihoods, by N choices of noises."""
+def log_likelihoods(steps: Iterable[RecordedStep], noises: Sequence[Factors]) -> Array:
+    """Return (N,) logarithms of the residuals' likelihoods, by N choices of noises.
+
+    Of an event F and H may be (N, r, c), residuals and what is applied (N, r): one of each choice.
+    """
     recursions = _Recursions(noises)
     with np.errstate(all="ignore"):
         for step in steps:
@@ -253,7 +256,7 @@ def _roots(
 
 def _roots_of_sensor(event: Update, noises: Sequence[Factors]) -> Array:
     """(N, m) square roots of factors on R, of the components of a measurement."""
-    factors = np.ones((len(noises), len(event.residual)))
+    factors = np.ones((len(noises), len(event.noise)))
     for row, one in zip(factors, noises, strict=True):
         for slot, factor in one.items():
             if slot.is_of("R", event.sensor, event.number):
@@ -316,7 +319,7 @@ class _Recursions:
 
     def _roots_of(self, event: Update) -> Array:
         begun = bisect_right(self._beginnings, event.number)
-        key = event.sensor, len(event.residual), begun
+        key = event.sensor, len(event.noise), begun
         if key not in self._known_of_sensor:
             self._known_of_sensor[key] = _roots_of_sensor(event, self.noises)
         return self._known_of_sensor[key]
@@ -324,15 +327,15 @@ class _Recursions:
     def _move(self, blocks: tuple[str, ...], f: Array) -> None:
         at, p = self.layout.columns(blocks), self.covariance
         p[:, at] = f @ p[:, at]
-        p[:, :, at] = p[:, :, at] @ f.T
-        self.mean[:, at] = self.mean[:, at] @ f.T
+        p[:, :, at] = p[:, :, at] @ f.mT
+        self.mean[:, at] = (f @ self.mean[:, at, None])[:, :, 0]
 
     def _update(self, event: Update, applied: Array | None) -> None:
         at, h, p = self.layout.columns(event.blocks), event.jacobian, self.covariance
         root = self._roots_of(event)
-        across = p[:, :, at] @ h.T
+        across = p[:, :, at] @ h.mT
         s = h @ across[:, at] + event.noise * root[:, :, None] * root[:, None, :]
-        innovation = event.residual - self.mean[:, at] @ h.T
+        innovation = event.residual - (h @ self.mean[:, at, None])[:, :, 0]
         right = np.concatenate((across.mT, innovation[:, :, None]), axis=2)
         try:
             solved = np.linalg.solve(s, right)

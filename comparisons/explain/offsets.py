@@ -104,7 +104,7 @@ def offset_slots(steps: Sequence[RecordedStep]) -> list[OffsetSlot]:
     """Return all places for a constant that is there from the beginning."""
     slots: dict[OffsetSlot, None] = {}
     layout = BlockLayout()
-    for event, _ in steps:
+    for event, *_ in steps:
         match event:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
@@ -213,17 +213,19 @@ def without_offsets(
         yield from steps
         return
     layout, last_s = BlockLayout(), None
-    for event, applied in steps:
+    for step in steps:
+        event = step.event
         there = [one for one in offsets if one.slot.since <= event.number]
-        step = RecordedStep(event, applied)
         match event:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
             case Predict():
                 lacking = _lacking(event, there, layout) * interval_s(last_s, event.time_s)
-                step, last_s = RecordedStep(event, -lacking), event.time_s
+                if step.applied is not None:
+                    lacking = lacking - step.applied
+                step, last_s = step._replace(applied=-lacking), event.time_s
             case Update():
-                step = RecordedStep(_without(event, there), applied)
+                step = step._replace(event=_without(event, there))
             case _:
                 layout.follow(event)
         yield step

@@ -8,13 +8,14 @@ chance is measured by the same pass over drawn innovations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Columns, Fused, Replay, square
+from comparisons.explain.jacobians import JacobianGradient
 from comparisons.explain.noises import Factors, NoiseSlot, with_noises
 from comparisons.explain.offsets import OffsetSlot, interval_s
 from comparisons.explain.recorded_steps import RecordedStep, apply_step
@@ -32,6 +33,8 @@ from comparisons.trace.events import (
 
 _DRAWS = 64
 """Of innovations, by which a derivative's spread is measured."""
+_DRAWS_OF_GRADIENTS = 16
+"""Of these, those by which a Jacobian's is measured."""
 _PLACES = 200
 """Events from one of which on a change may begin, spread over the trace."""
 _LEAST_EVENTS = 10
@@ -59,7 +62,8 @@ class ScoredSlot(NamedTuple):
 class _Passed(NamedTuple):
     """An event as the recursion went through it.
 
-    size: of the state before. at: entries of the blocks that it reads, or removes. dims: theirs.
+    size: of the state before. at: entries (k,) of the blocks that it reads, or removes. dims:
+    theirs. mean, across: (k,) and (k, n) before it, where its Jacobian's derivative is asked for.
     """
 
     event: Event
@@ -68,27 +72,26 @@ class _Passed(NamedTuple):
     dims: tuple[int, ...]
     fused: Fused | None = None
     interval_s: float = 1.0
+    mean: Array | None = None
+    across: Array | None = None
 
 
-def scored_slots(
-    steps: Sequence[RecordedStep], slots: Sequence[Slot], factors: Factors
-) -> list[ScoredSlot]:
-    """Return what changes of slots would gain; zeros where a covariance is none.
+def likelihood_slopes(
+    steps: Sequence[RecordedStep],
+    slots: Sequence[Slot],
+    factors: Factors,
+    with_gradients: Collection[int] = (),
+) -> LikelihoodSlopes:
+    """Return the derivatives of the likelihood by changes of slots; zeros without a covariance.
 
     Args:
         steps: Of a trace, from its prior on.
         slots: Of the whole trace.
         factors: On its noises.
+        with_gradients: Numbers of events whose Jacobians the likelihood is derived by as well.
     """
-    return likelihood_slopes(steps, slots, factors).scored()
-
-
-def likelihood_slopes(
-    steps: Sequence[RecordedStep], slots: Sequence[Slot], factors: Factors
-) -> LikelihoodSlopes:
-    """Return the derivatives of the likelihood by changes of slots; arguments as above."""
     with np.errstate(all="ignore"):
-        passed, size = _forwards(steps, factors)
+        passed, size = _forwards(steps, factors, with_gradients)
         slopes = LikelihoodSlopes(slots, size)
         places = set(np.linspace(0, len(passed) - 1, _PLACES, dtype=int).tolist())
         for k in range(len(passed) - 1, -1, -1):
@@ -98,7 +101,9 @@ def likelihood_slopes(
     return slopes
 
 
-def _forwards(steps: Sequence[RecordedStep], factors: Factors) -> tuple[list[_Passed], int]:
+def _forwards(
+    steps: Sequence[RecordedStep], factors: Factors, with_gradients: Collection[int]
+) -> tuple[list[_Passed], int]:
     """Kalman's recursion with other noises, beside the filter's corrections; the state's size."""
     passed: list[_Passed] = []
     replay: Replay
@@ -122,6 +127,9 @@ def _forwards(steps: Sequence[RecordedStep], factors: Factors) -> tuple[list[_Pa
         layout = replay.layout
         dims = tuple(layout.dims[name] for name in blocks)
         one = _Passed(event, layout.size, layout.columns(blocks), dims)
+        if event.number in with_gradients:
+            before = replay.mean[one.at].copy(), replay.covariance[one.at].copy()
+            one = one._replace(mean=before[0], across=before[1])
         one = one._replace(fused=apply_step(replay, step._replace(event=event)))
         if isinstance(event, Predict):
             one = one._replace(interval_s=interval_s(last_s, event.time_s))
@@ -140,6 +148,7 @@ class LikelihoodSlopes:
         slots: Of the whole trace.
         total: (S + 1, 1 + D) derivatives by logarithms of factors and by constants, of all events
             that were passed; of the residuals and of drawn ones. The last row is of no slot.
+        gradients: Derivatives by Jacobians, by the numbers of events that they were asked for.
     """
 
     def __init__(self, slots: Sequence[Slot], size: int) -> None:
@@ -151,6 +160,7 @@ class LikelihoodSlopes:
         self.best = np.zeros(len(slots))
         self.since = np.zeros(len(slots), dtype=np.intp)
         self.rng = np.random.default_rng(0)
+        self.gradients: dict[int, JacobianGradient] = {}
         self.r, self.n = np.zeros((size, 1 + _DRAWS)), np.zeros((size, size))
         self._known_rows: dict[tuple[str, Blocks, tuple[int, ...]], tuple[Index, Index]] = {}
 
@@ -164,11 +174,15 @@ class LikelihoodSlopes:
                 self._add_noise("Q", event.blocks, event.noise, passed)
                 _, entries = self._rows("Q", event.blocks, passed.dims)
                 self._add(entries, passed.interval_s * self.r[at])
+                spread = self.n[at].copy()
+                spread[:, at] = spread[:, at] @ event.jacobian
+                after = self.r[at].copy()
                 self._move(event.jacobian, at)
+                self._derive(passed, after, spread)
             case Reset():
                 self._move(event.jacobian, at)
             case Update() if passed.fused is not None:
-                self._update(event, at, passed.fused)
+                self._update(event, passed, passed.fused)
             case Augment():
                 self._merge(event.jacobian, at, size)
             case Clone():
@@ -196,9 +210,26 @@ class LikelihoodSlopes:
         self.n[:, at] += across.T
         self.n[square(at)] += inner
 
-    def _update(self, event: Update, at: Columns, fused: Fused) -> None:
+    def _derive(self, passed: _Passed, noise: Array, spread: Array) -> None:
+        """Add the derivative by a Jacobian: of noise times the smoothed error, less what is meant.
+
+        Args:
+            passed: The event, the recursion being before it.
+            noise: (r, 1 + D) derivatives by what the Jacobian leads to.
+            spread: (r, n) their covariance with r before the event.
+        """
+        if passed.mean is None or passed.across is None:
+            return
+        smoothed = passed.across @ self.r[:, : 1 + _DRAWS_OF_GRADIENTS]
+        smoothed[:, 0] += passed.mean
+        noise = noise[:, : 1 + _DRAWS_OF_GRADIENTS]
+        meant = spread @ passed.across.T
+        slope = noise[:, None, :] * smoothed[None, :, :] - meant[:, :, None]
+        self.gradients[passed.event.number] = JacobianGradient(slope, noise)
+
+    def _update(self, event: Update, passed: _Passed, fused: Fused) -> None:
         """Add what a measurement's noise and constants gain, and go back over it."""
-        h, gain, root = event.jacobian, fused.gain, fused.inverse_root
+        at, h, gain, root = passed.at, event.jacobian, fused.gain, fused.inverse_root
         drawn = self.rng.standard_normal((len(root), _DRAWS))
         spread = self.n @ gain
         u = root.T @ np.column_stack((fused.whitened, drawn)) - gain.T @ self.r
@@ -211,6 +242,10 @@ class LikelihoodSlopes:
         self.n[:, at] -= across
         self.n[at] -= across.T
         self.n[square(at)] += h.T @ d @ h
+        self.n = 0.5 * (self.n + self.n.T)  # what rounding makes unlike would grow
+        of_noise = -spread.T
+        of_noise[:, at] += d @ h
+        self._derive(passed, u, of_noise)
 
     def _add_noise(self, matrix: str, blocks: Blocks, noise: Array, passed: _Passed) -> None:
         """Add what a noise of the state gains, by block."""

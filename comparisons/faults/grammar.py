@@ -9,7 +9,7 @@ what a filter with the fault has, for thousands of records at once, or for one a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
@@ -47,6 +47,8 @@ class Slot:
         covariance: Symmetric, of variances.
         named_parts: Its parts, where they are not all rows, columns, blocks and terms; none of what
             is changed as a whole alone.
+        movable_rows: Rows that may change places together, by name.
+        movable_columns: Columns likewise.
     """
 
     name: str
@@ -55,6 +57,8 @@ class Slot:
     blocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     covariance: bool = False
     named_parts: tuple[Part, ...] | None = None
+    movable_rows: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    movable_columns: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -406,12 +410,38 @@ def _exchanges(slot: Slot) -> Iterator[Composition]:
         words = f"the columns of {slot.columns[i]} and {slot.columns[j]} in {slot.name}"
         order = _exchanged(columns, i, j)
         yield Composition(slot, "exchanged", f"{words} are exchanged", _reordered(every_row, order))
+    yield from _exchanges_of_blocks(slot)
 
 
-def _exchanged(count: int, i: int, j: int) -> Index:
-    """Numbers up to count, two of them in each other's place."""
+def _exchanges_of_blocks(slot: Slot) -> Iterator[Composition]:
+    """Rows, or columns, of two blocks have changed places, in all of a matrix or in a block."""
+    rows, columns = slot.shape
+    every_row, every_column = np.arange(rows), np.arange(columns)
+    for a, b in _alike(slot.movable_rows):
+        order = _exchanged(rows, slot.movable_rows[a], slot.movable_rows[b])
+        words = f"the rows of {a} and of {b} in {slot.name} are exchanged"
+        yield Composition(slot, "exchanged", words, _reordered(order, every_column))
+        for name, at in slot.movable_columns.items():
+            words = f"the parts of {a} and of {b} by {name} in {slot.name} are exchanged"
+            mask = mask_of(slot.shape, every_row, at)
+            yield Composition(slot, "exchanged", words, _reordered(order, every_column, mask))
+    for a, b in _alike(slot.movable_columns):
+        order = _exchanged(columns, slot.movable_columns[a], slot.movable_columns[b])
+        words = f"the columns of {a} and of {b} in {slot.name} are exchanged"
+        yield Composition(slot, "exchanged", words, _reordered(every_row, order))
+
+
+def _alike(blocks: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, str]]:
+    """Pairs of blocks of one size, of more than one entry."""
+    for a, b in combinations(blocks, 2):
+        if len(blocks[a]) == len(blocks[b]) > 1:
+            yield a, b
+
+
+def _exchanged(count: int, i: int | Sequence[int], j: int | Sequence[int]) -> Index:
+    """Numbers up to count, some of them in each other's place."""
     order = np.arange(count)
-    order[[i, j]] = j, i
+    order[np.r_[i, j]] = np.r_[j, i]
     return order
 
 

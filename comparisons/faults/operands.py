@@ -52,6 +52,7 @@ class Operand(NamedTuple):
         new: The block that the event begins, if any.
         state: Blocks of the state with their sizes.
         parted: Blocks of the state that are parts of a covariance by themselves.
+        measured: Names of a measurement's components, if any were given.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Operand(NamedTuple):
     new: str
     state: tuple[tuple[str, int], ...]
     parted: tuple[str, ...]
+    measured: tuple[str, ...] = ()
 
 
 def operand_of(
@@ -92,9 +94,11 @@ def slot_of(operand: Operand) -> Slot:
     ):
         by_mask.setdefault(part.mask.tobytes(), part)
     proper = [part for part in by_mask.values() if part.mask.any() and not part.mask.all()]
+    movable_rows, movable_columns = ({}, {}) if covariance else named.movable(rows, columns)
     return Slot(
-        name=subject, rows=rows, columns=columns, covariance=covariance, named_parts=tuple(proper)
-    )
+        name=subject, rows=rows, columns=columns, covariance=covariance, named_parts=tuple(proper),
+        movable_rows=movable_rows, movable_columns=movable_columns,
+    )  # fmt: skip
 
 
 def singles_of(operand: Operand, like: Values) -> Mapping[str, Composition]:
@@ -127,7 +131,7 @@ class _Names:
     def __init__(self, operand: Operand) -> None:
         self.state = self.entries(dict(operand.state))
         self.inner = self.entries(dict(operand.inner))
-        self.new = operand.new
+        self.new, self.measured = operand.new, operand.measured
         self.blocks = tuple(name for name, _ in operand.inner)
         self.others = dict(operand.state).keys() - set(operand.parted)
 
@@ -140,7 +144,7 @@ class _Names:
 
     def of(self, name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Names of rows and columns of a matrix."""
-        measured = tuple(f"component {k}" for k in range(min(shape)))
+        measured = self.measured or tuple(f"component {k}" for k in range(min(shape)))
         new = self.entries({self.new: shape[0]}) if self.new else ()
         noise = tuple(f"noise {k}" for k in range(shape[1]))
         by_name = {
@@ -163,6 +167,21 @@ class _Names:
         for k, name in enumerate(names):
             blocks.setdefault(name.partition("[")[0], []).append(k)
         return blocks
+
+    def movable(
+        self, rows: tuple[str, ...], columns: tuple[str, ...]
+    ) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
+        """Rows and columns of blocks; of a measurement, runs of components as long as a block."""
+        of_rows, of_columns = (
+            {name: tuple(at) for name, at in self.groups(names).items()}
+            for names in (rows, columns)
+        )
+        sizes = {len(at) for at in of_columns.values() if 1 < len(at) < len(rows)}
+        if rows != columns:
+            for size in sorted(size for size in sizes if len(rows) % size == 0):
+                for k in range(0, len(rows), size):
+                    of_rows[f"{rows[k]} to {rows[k + size - 1]}"] = tuple(range(k, k + size))
+        return of_rows, of_columns
 
     def is_parted(self, block: str) -> bool:
         """Whether a block is a part of a covariance by itself."""

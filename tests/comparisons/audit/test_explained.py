@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
-from comparisons.audit.replay import Replay
+from comparisons.audit.replay import BlockLayout, Replay
 from comparisons.explain.noises import (
     NoiseFactor,
     NoiseSlot,
@@ -23,7 +23,15 @@ from comparisons.explain.offsets import Offset, OffsetSlot, offset_slots, withou
 from comparisons.explain.recorded_steps import RecordedStep, steps_of
 from comparisons.explain.scores import Slot, likelihood_slopes
 from comparisons.trace.events import Augment, Event, Predict, TracePrior, Update
-from research.trust.drawn_causes import LinearDrive, LinearFault
+from comparisons.trace.reader import TraceReader
+from research.trust.drawn_causes import (
+    H_OF,
+    F,
+    JacobianFault,
+    LinearDrive,
+    LinearFault,
+    tells,
+)
 
 RNG = np.random.default_rng(3)
 P0_OF_BIAS = NoiseSlot("P0", "bias")
@@ -66,7 +74,7 @@ def residuals_of(steps: Sequence[RecordedStep], drawn: Array) -> Array:
     """Return all residuals, by the noises that are drawn: those of the prior, and of each event."""
     at, residuals = 0, []
     replay: Replay
-    for event, applied in steps:
+    for event, applied, *_ in steps:
         if isinstance(event, TracePrior):
             replay = Replay(event)
             size = len(event.covariance)
@@ -91,13 +99,13 @@ def dense(steps: Sequence[RecordedStep], factors: Mapping[NoiseSlot, float]) -> 
     """The logarithm of the residuals' density as one Gaussian, linear in all noises."""
     noises = [
         event.covariance if isinstance(event, TracePrior) else event.noise
-        for event, _ in with_noises(steps, factors)
+        for event, *_ in with_noises(steps, factors)
         if isinstance(event, TracePrior | Predict | Update | Augment)
     ]
     covariance = block_diag(*noises)
     mean = residuals_of(steps, np.zeros(len(covariance)))
     by_noise = np.array([residuals_of(steps, row) - mean for row in np.eye(len(covariance))])
-    measured = np.concatenate([e.residual for e, _ in steps if isinstance(e, Update)])
+    measured = np.concatenate([e.residual for e, *_ in steps if isinstance(e, Update)])
     return float(multivariate_normal(mean, by_noise.T @ covariance @ by_noise).logpdf(measured))
 
 
@@ -141,6 +149,108 @@ def test_slopes_are_those_of_the_likelihood() -> None:
     forgotten = [step._replace(applied=None) for step in steps]
     wrong = likelihood_slopes(forgotten, slots, {}).total[:-1, 0]
     assert not np.allclose(wrong, slopes.total[:-1, 0], rtol=1e-2)
+
+
+def with_entry(step: RecordedStep, entry: tuple[int, ...], more: float, by: Array) -> RecordedStep:
+    """Another entry of a step's Jacobian, that a filter moves its estimate by as well, by `by`."""
+    event = step.event
+    assert isinstance(event, Predict | Update)
+    added = np.zeros(event.jacobian.shape)
+    added[entry] = more
+    if isinstance(event, Update):
+        residual = event.residual - added @ by
+        return step._replace(
+            event=event._replace(jacobian=event.jacobian + added, residual=residual)
+        )
+    layout = BlockLayout(("place", "speed", "bias", "tree"), (2, 1, 1, 2))
+    applied = np.zeros(4 if event.number < 3 else 6)
+    applied[layout.columns(event.blocks)] = -added @ by
+    return RecordedStep(event._replace(jacobian=event.jacobian + added), applied, step.estimate)
+
+
+@pytest.mark.parametrize("moves_estimate", [False, True])
+def test_derivatives_by_jacobians_are_those_of_the_likelihood(moves_estimate: bool) -> None:
+    steps = list(steps_of(EVERYTHING))
+    numbers = [step.event.number for step in steps if step.estimate is not None]
+    assert len(numbers) == 6
+    gradients = likelihood_slopes(steps, [], {}, numbers).gradients
+    size, largest = 1e-5, 0.0
+    for k, step in enumerate(steps):
+        if step.estimate is None:
+            continue
+        event = step.event
+        assert isinstance(event, Predict | Update)
+        by = step.estimate if moves_estimate else np.zeros_like(step.estimate)
+        gradient = gradients[event.number].with_estimate(by)[:, :, 0]
+        for entry in np.ndindex(*event.jacobian.shape):
+            logs = [
+                log_likelihoods(
+                    [*steps[:k], with_entry(step, entry, more, by), *steps[k + 1 :]], [{}]
+                )
+                for more in (size, -size)
+            ]
+            slope = float(logs[0][0] - logs[1][0]) / (2.0 * size)
+            assert gradient[entry] == pytest.approx(slope, rel=1e-5, abs=1e-7)
+            without = gradients[event.number].slope[(*entry, 0)]
+            largest = max(largest, abs(float(without) - slope))
+    # broken: the estimate is not moved by it
+    assert (largest > 0.1) == moves_estimate
+
+
+def test_slopes_of_a_long_trace_are_as_chance_makes_them(tmp_path: Path) -> None:
+    """Of an unstable drive: what rounding makes unlike in N would grow with each event."""
+    LinearDrive(5, None).record(tmp_path / "run.trace")
+    steps = list(steps_of(TraceReader(tmp_path / "run.trace")))
+    numbers = [step.event.number for step in steps if isinstance(step.event, Update)]
+    gradients = likelihood_slopes(steps, [], {}, numbers).gradients
+    drawn = np.stack([gradients[k].slope[0, 0, 1:] for k in numbers if k in gradients])
+    mean, spread = drawn.mean(axis=1), drawn.std(axis=1)
+    assert np.all(np.abs(mean) < 6.0 * spread / np.sqrt(drawn.shape[1]) + 1e-9)
+
+
+def test_the_estimate_is_that_of_a_linear_filter(tmp_path: Path) -> None:
+    drive = LinearDrive(5, None)
+    drive.record(tmp_path / "run.trace")
+    last = list(steps_of(TraceReader(tmp_path / "run.trace")))[-1]
+    *_, step = (s for s in steps_of(TraceReader(tmp_path / "run.trace")) if s.estimate is not None)
+    assert step.estimate is not None
+    assert step.applied is not None
+    assert last.estimate is None
+    after = step.estimate + step.applied
+    np.testing.assert_allclose(after, drive.estimate, rtol=1e-9)
+    # broken: corrections without what predictions make of them
+    assert not np.allclose(step.applied, drive.estimate)
+
+
+EXCHANGED_F, HALVED_F = F.copy(), F.copy()
+EXCHANGED_F[:, [3, 4]] = F[:, [4, 3]]
+HALVED_F[0, 2] = 0.05
+NEGATED_H, HALVED_H = H_OF["odometer"] * (1, 1, 1, -1, 1), H_OF["odometer"] * (1, 1, 0.5, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("of", "wrong", "moves_estimate", "words"),
+    [
+        ("odometer", NEGATED_H, False, "has the opposite sign"),
+        ("odometer", NEGATED_H, True, "H of sensor `odometer`, in what it expects as well"),
+        ("odometer", HALVED_H, True, "is the filter's +0.5"),
+        ("", EXCHANGED_F, False, "the columns of speed[1] and bias in F are exchanged"),
+        ("", EXCHANGED_F, True, "F of place, speed, bias, in their estimate as well"),
+        ("", HALVED_F, True, "the speed[0] term of the place[0] row of F is the filter's +0.04"),
+    ],
+)
+def test_a_jacobian_that_is_another_is_named(
+    of: str, wrong: Array, moves_estimate: bool, words: str, tmp_path: Path
+) -> None:
+    fault = JacobianFault(of, wrong, moves_estimate, "")
+    LinearDrive(7, fault).record(tmp_path / "run.trace")
+    assert tells(tmp_path / "run.trace", fault)
+    explained = audit(tmp_path / "run.trace").explained
+    assert explained is not None
+    assert explained.fits
+    first = explained.causes[0]
+    assert any(map(fault.is_named, (first.fitted, *first.others))), explained.what
+    assert words in explained.what
 
 
 def test_drawn_slopes_are_as_chance_makes_them() -> None:
