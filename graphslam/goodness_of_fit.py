@@ -174,6 +174,11 @@ class Goodness:
         dof = self.problem.residual_dimension - self.problem.state_dimension
         return chi_square_test(float(self.graph.error(self.values)), dof)
 
+    @property
+    def rows(self) -> int:
+        """Scalar rows of the graph."""
+        return len(row_components(self.problem))
+
     @cached_property
     def worst(self) -> ResidualGroup | None:
         """The part that is farthest outside its band; None where all parts are inside."""

@@ -49,12 +49,13 @@ EXPLANATIONS: dict[str, Explanation] = {
     ),
     "log": Explanation(
         "The log fits with another number, unit or sigma",
-        "The smoother's chi-square is too high, and one change of the log takes it into its band: "
-        "a scale, an offset or a delay of one sensor, or else a unit, a sign, exchanged columns, "
-        "or sigmas that are variances, as of `slamcheck logs LOG`. What is left is the stated "
-        "noise, by sensor, by landmark and over time. Where several changes fit as well, all are "
-        "named: scales of speed and range stand for each other where nothing else tells the size "
-        "of the map.",
+        "The smoother's chi-square is too high, and one change of the log takes it into its band, "
+        "as of `slamcheck logs LOG`: of a column a unit, a sign, a factor, an offset, a lag, or "
+        "another column in its place; of a stream its clock; the place of a sensor; the axes of "
+        "poses and positions; or sigmas that are variances or of another unit. What is left is the "
+        "stated noise, by sensor, by landmark and over time. Where several changes fit as well, "
+        "all are named: scales of speed and range stand for each other where nothing else tells "
+        "the size of the map.",
         "Check the calibration, the units and the clock of the named sensor.",
         decides="never",
     ),

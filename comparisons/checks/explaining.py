@@ -11,7 +11,7 @@ import numpy as np
 from comparisons.checks.check import Check
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
-from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog, solved_run
+from comparisons.checks.diagnosis.solved_log import LogSolver, SolvedLog, solved_run
 from comparisons.checks.finding import Finding
 from comparisons.checks.verdict import to_explain
 from comparisons.errors import InputError
@@ -78,31 +78,29 @@ class CheckDropouts(Check):
 
 def _wrong_log(known: Known, test: ChiSquareTest, solved: SolvedLog) -> list[Cause]:
     """Return what of the log's own numbers is wrong."""
-    from comparisons.checks.diagnosis.log_doctor import Examination, examine_run
-    from comparisons.checks.diagnosis.log_fit import fitted_numbers, solve_by_run
+    from comparisons.checks.diagnosis.log_doctor import Examination, examine_run, solver_of_run
 
-    log, run, result = known.prepared.log, known.ekf, known.result
+    log, run = known.prepared.log, known.ekf
     known.prepared.progress("the log's own numbers", 0, 0)
-    solve = solve_by_run(run, result)
-    if rows := _exchanged_rows(known, solve):
+    if rows := _exchanged_rows(known, solver_of_run(run, solved), solved):
         return [_log_fault(rows)]
-    if fits := fitted_numbers(log, solve, test):
-        return [_log_number(fits, test)]
-    fits = examine_run(log, run, result, solved)
-    return [_log_fault(Examination(test, fits).words)] if fits else []
+    fits = examine_run(log, run, solved)
+    return [_log_fault(Examination(test, fits).words, fits)] if fits else []
 
 
-def _exchanged_rows(known: Known, solve: Solve) -> str:
+def _exchanged_rows(known: Known, solver: LogSolver, near: SolvedLog) -> str:
     """Return which rows of the prior's covariance are exchanged, if the log fits so."""
     from comparisons.checks.diagnosis.first_pose import exchanged_rows
+    from comparisons.checks.diagnosis.log_doctor import fused_log
     from comparisons.faults.catalogue import EXCHANGED_ROWS
 
-    log, smoothed = known.prepared.log, known.smoothed
+    run, smoothed = known.ekf, known.smoothed
+    log = fused_log(known.prepared.log, run)
     words = exchanged_rows(log.prior, smoothed.pose[0], smoothed.pose_covariance[0])
     for order in EXCHANGED_ROWS.values() if words else ():
         exchanged = replace(log.prior, covariance=log.prior.covariance[np.ix_(order, order)])
         try:
-            solved = solve(replace(log, prior=exchanged), False)
+            solved = solver.solved(replace(log, prior=exchanged), near)
         except (InputError, RuntimeError):
             continue
         if solved.goodness.sound:
@@ -110,20 +108,14 @@ def _exchanged_rows(known: Known, solve: Solve) -> str:
     return ""
 
 
-def _log_number(fits: Sequence[LogFit], test: ChiSquareTest) -> Cause:
-    """Numbers that would make the log fit, of which there is one at least."""
-    named = ", or ".join(f"to {one.chi2:.0f} with {one.what}" for one in fits)
-    return Cause(
-        "log",
-        f"the smoother's chi-square falls from {test.chi2:.0f} (for {test.dof} degrees of "
-        f"freedom) {named}",
-        "check the calibration, units and clock of this sensor; correct the log and run again",
-    )
-
-
-def _log_fault(words: str) -> Cause:
-    """What the log looks like, with what mends it."""
-    return Cause("log", words, "make the log again with this changed (slamcheck new-log)")
+def _log_fault(words: str, fits: Sequence[LogFit] = ()) -> Cause:
+    """What the log looks like, with what mends it. fits: what makes it fit, if it was fitted."""
+    advice = "make the log again with this changed (slamcheck new-log)"
+    if any(one.numbers and one.name is None for one in fits):
+        advice = (
+            "check the calibration, units and clock of this sensor; correct the log and run again"
+        )
+    return Cause("log", words, advice)
 
 
 def other_noise(known: Known, test: ChiSquareTest) -> list[Cause]:

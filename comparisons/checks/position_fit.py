@@ -1,25 +1,32 @@
-"""What makes absolute positions fit a path: an offset, another antenna, a delay, a rotation."""
+"""What makes absolute positions fit a path: every correction of positions in `faults.of_logs`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from comparisons.arrays import Array
-from comparisons.logs.log import Poses
+from comparisons.errors import InputError
+from comparisons.faults.of_logs import LogCorrection, corrections
+from comparisons.logs.log import LandmarkMeasurements, Log, Poses, Positions, Prior
+from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.plane import turned
 from comparisons.statistics import mean_band
-from graphslam.sensor_frame import in_words
 
 _OUTSIDE = 0.001
-"""Share of positions, of a right motion, whose chi-square is outside the band that is asked for."""
+"""Share of positions, of a right correction, whose chi-square is outside the band asked for."""
 _AS_LIKELY = -2.0 * float(np.log(1e-6))
-"""Chi-square above the least that another motion leaves, which then fits as well."""
+"""Chi-square above the least that another correction leaves, which then fits as well."""
 _FEWEST = 4
 """Positions; fewer are fitted by anything."""
+_BESIDE_S = 10.0
+"""Seconds that positions may be before or behind the path's ends."""
+_NAMED = 0.02
+"""Relative distance of a number from one that has a name."""
+_UNFIT = 1e9
+"""Whitened residual of what cannot be corrected so."""
 
 
 class PositionObservations(NamedTuple):
@@ -34,74 +41,88 @@ class PositionObservations(NamedTuple):
     antenna_m: tuple[float, float]
 
 
-class _Motion(NamedTuple):
-    """expected: positions (N, 2) by `size` parameters, zero for none. words: of these."""
-
-    size: int
-    expected: Callable[[Array], Array]
-    words: Callable[[Array], str]
-
-
 def position_fit(seen: PositionObservations, path: Poses) -> str:
-    """Return the motions that make positions fit a path, in words, with their figures.
+    """Return the corrections that make positions fit a path, in words, with their figures.
 
-    By weighted least squares, each motion alone. One explains them that leaves a chi-square in its
-    band; those that are about as likely as the best are named, the one with the fewest parameters
-    first. Empty where none explains them. path: by odometry and landmarks.
+    By weighted least squares, each alone. One explains them that leaves a chi-square in its band;
+    those that are about as likely as the best are named, the one with the fewest numbers first.
+    Empty where none explains them. path: by odometry and landmarks.
     """
     if len(seen.time_s) < _FEWEST:
         return ""
-    whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))
-
-    def residual(expected: Array) -> Array:
-        found: Array = np.einsum("nij,nj->ni", whiten, seen.position - expected).ravel()
-        return found
-
-    found = []
-    for one in _motions(seen, path):
-        fit = least_squares(lambda p, one=one: residual(one.expected(p)), np.zeros(one.size))
-        found.append((one.size, 2.0 * float(fit.cost), one.words(fit.x)))
+    log = _alone(seen, path)
     count = 2 * len(seen.time_s)
-    found = [
-        (size, left, words)
-        for size, left, words in found
-        if mean_band(1, count - size, _OUTSIDE).holds(left)
+    fits: list[tuple[int, float, LogCorrection, str]] = []
+    for correction in corrections(log):
+        if "position" not in correction.slot:
+            continue
+        numbers, chi2 = _fitted(correction, log, path)
+        if mean_band(1, count - len(numbers), _OUTSIDE).holds(chi2):
+            fits.append((len(numbers), chi2, correction, _said(correction, numbers)))
+    least = min((chi2 for _, chi2, *_ in fits), default=0.0)
+    likely = [one for one in fits if one[1] <= least + _AS_LIKELY]
+    keys = {(one.slot, one.change) for *_, one, _ in likely}
+    words = [
+        said
+        for *_, correction, said in sorted(likely, key=lambda one: one[:2])
+        if not keys.intersection(correction.contains)
     ]
-    least = min((left for _, left, _ in found), default=0.0)
-    return ", or ".join(words for _, left, words in sorted(found) if left <= least + _AS_LIKELY)
+    return ", or ".join(dict.fromkeys(words))
 
 
-def _motions(seen: PositionObservations, path: Poses) -> list[_Motion]:
+def _alone(seen: PositionObservations, path: Poses) -> Log:
+    """A log of the positions, within whose time they may be moved."""
+    ends_s = path.time_s[[0, -1]] + (-_BESIDE_S, _BESIDE_S)
+    still = np.zeros(2)
+    positions = Positions(seen.time_s, seen.position, seen.covariance, seen.antenna_m)
+    return Log(
+        name="positions",
+        format="",
+        prior=Prior(float(ends_s[0]), np.zeros(3), np.eye(3)),
+        odometry=VelocityOdometry(ends_s, still, still, OdometryNoise(1.0, 1.0)),
+        measurements=LandmarkMeasurements.of(ends_s[1:], np.ones((1, 2)), np.ones(2), -1),
+        positions=positions,
+    )
+
+
+def _fitted(correction: LogCorrection, log: Log, path: Poses) -> tuple[tuple[float, ...], float]:
+    """The numbers of a correction that leave least, and the chi-square that they leave."""
+    starts = [correction.neutral]
+    starts += [(one,) for one in correction.grid]
+    starts += [(one.number,) for one in correction.names]
+    every = [(_chi2(correction, log, path, start), start) for start in starts]
+    chi2, start = min(every)
+    if not start:
+        return start, chi2
+    fit = least_squares(lambda p: _residuals(correction, log, path, p.tolist()), start)
+    return tuple(fit.x.tolist()), min(chi2, 2.0 * float(fit.cost))
+
+
+def _chi2(correction: LogCorrection, log: Log, path: Poses, numbers: tuple[float, ...]) -> float:
+    return float(np.square(_residuals(correction, log, path, numbers)).sum())
+
+
+def _residuals(
+    correction: LogCorrection, log: Log, path: Poses, numbers: tuple[float, ...]
+) -> Array:
+    """Whitened residuals (2N,) of corrected positions."""
+    count = 0 if log.positions is None else 2 * len(log.positions.time_s)
+    try:
+        seen = correction.correct(log, *numbers).positions
+    except InputError:
+        seen = None
+    if seen is None or 2 * len(seen.time_s) != count:
+        return np.full(count, _UNFIT)
     poses = path.at(seen.time_s)
-    own = _antenna(poses, seen.antenna_m)
-
-    def rotated(p: Array) -> Array:
-        cos, sin = np.cos(p[0]), np.sin(p[0])
-        return np.asarray(own @ ((cos, sin), (-sin, cos)) + p[1:])
-
-    def placed(p: Array) -> str:
-        return f"an antenna at {in_words(*(p + seen.antenna_m))} of the pose"
-
-    return [
-        _Motion(
-            2, lambda p: own + p, lambda p: f"an offset of {p[0]:.2f} m east, {p[1]:.2f} m north"
-        ),
-        _Motion(2, lambda p: _antenna(poses, tuple(p + seen.antenna_m)), placed),
-        _Motion(
-            1,
-            lambda p: _antenna(path.at(seen.time_s - p[0]), seen.antenna_m),
-            lambda p: f"time stamps {abs(p[0]):.2f} s too {'late' if p[0] > 0.0 else 'early'}",
-        ),
-        _Motion(
-            3,
-            rotated,
-            lambda p: (
-                f"a frame turned by {np.degrees(p[0]):.2f} degrees about the origin, then "
-                f"moved by {p[1]:.2f} m east, {p[2]:.2f} m north"
-            ),
-        ),
-    ]
+    expected = poses[:, :2] + turned(np.array(seen.antenna_m), poses[:, 2])
+    whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))
+    residuals: Array = np.einsum("nij,nj->ni", whiten, seen.position_m - expected).ravel()
+    return residuals
 
 
-def _antenna(poses: Array, antenna_m: tuple[float, ...]) -> Array:
-    return poses[:, :2] + turned(np.array(antenna_m), poses[:, 2])
+def _said(correction: LogCorrection, numbers: tuple[float, ...]) -> str:
+    """What the positions fit with, or if."""
+    for name in correction.names if len(numbers) == 1 else ():
+        if abs(numbers[0] / name.number - 1.0) < _NAMED:
+            return f"if {name.what}"
+    return f"with {correction.what(*numbers)}" if numbers else f"if {correction.what()}"

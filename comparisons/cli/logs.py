@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 def logs(log: str | None, **given: Any) -> None:
     """List the bundled logs and readable formats; with LOG, examine that log.
 
-    Units, signs, exchanged columns, clocks and sigmas: the smoother solves a part of the log with
-    its labels, as it is and with each changed.
+    Columns, clocks, places, frames, labels and sigmas: the smoother solves a part of the log with
+    its labels, as it is and with each change of each.
 
     \b
     Examples:
@@ -46,8 +46,8 @@ def logs(log: str | None, **given: Any) -> None:
         else:
             fits = "fits its sigmas" if test.reading == "plausible" else f"is {test.reading}"
             typer.echo(
-                f"no fault found in units, signs, columns, clock or sigmas: chi-square{found.part} "
-                f"{fits} ({test.chi2:.4g} for {test.dof} degrees of freedom)"
+                "no fault found in columns, clocks, places, frames, labels or sigmas: "
+                f"chi-square{found.part} {fits} ({test.chi2:.4g} for {test.dof} degrees of freedom)"
             )
 
 

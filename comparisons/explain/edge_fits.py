@@ -25,6 +25,7 @@ from graphslam.graph_builder import COMPONENTS, build_graph, from_values, row_co
 from graphslam.optimisers import levenberg_marquardt, optimise, polish
 from graphslam.optimum import chi_square_test
 from graphslam.problem import SlamProblem
+from graphslam.restricted_likelihood import restricted_deviance
 from graphslam.search import relaxed_values
 from graphslam.sparse_system import column_lengths, normal_factors, scaled_columns, sparse_system
 from graphslam.variance_components import Component, estimate_components
@@ -72,31 +73,18 @@ def likelihood(goodness: Goodness, log_volume: float = 0.0, *, any_size: bool = 
         that of its steps, and headings in a range that is that of its turns; infinite where the
         equations are singular.
     """
-    p = goodness.problem
-    jacobian, _ = sparse_system(goodness.graph, goodness.values)
-    lengths = column_lengths(jacobian)
-    jacobian = scaled_columns(jacobian, lengths)
+    p, test = goodness.problem, goodness.test
     try:
-        upper = normal_factors(jacobian).U
+        deviance = restricted_deviance(p, goodness.graph, goodness.values)
     except RuntimeError:
         return np.inf
-    normal = float(np.log(np.abs(upper.diagonal())).sum() + 2.0 * np.log(lengths).sum())
+    if any_size:
+        deviance += test.dof * (1.0 + float(np.log(max(test.chi2, 1e-300) / test.dof))) - test.chi2
     steps = p.increment[p.steps] if len(p.steps) else p.loop_closures.motion
     places = 4.0 * (p.pose_count + p.landmark_count) * _log_size(steps[:, :2])
     places += 2.0 * p.pose_count * _log_size(steps[:, 2])
-    test = goodness.test
-    chi2 = test.chi2
-    if any_size:
-        chi2 = test.dof * (1.0 + float(np.log(max(chi2, 1e-300) / test.dof)))
-    return chi2 + _log_covariance(p) - 2.0 * log_volume + normal + places
-
-
-def _log_covariance(problem: SlamProblem) -> float:
-    """Logarithm of the determinant of all edges' covariance, of points by x and y."""
-    p = problem
-    spreads = (p.increment_covariance[p.steps], p.loop_closures.covariance, p.position_covariance)
-    total = sum(float(np.linalg.slogdet(one)[1].sum()) for one in spreads if len(one))
-    return total + 2.0 * float(np.log(p.sigma).sum() + np.log(p.z[:, 0]).sum())
+    by_x_and_y = 2.0 * float(np.log(p.z[:, 0]).sum())
+    return deviance + by_x_and_y - 2.0 * log_volume + places
 
 
 def _log_size(numbers: Array) -> float:

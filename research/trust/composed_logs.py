@@ -24,19 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons import plane
-from comparisons.adapters.smoother_input import assemble, position_rows
-from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.log_doctor import examine
+from comparisons.checks.diagnosis.log_doctor import examine, solver_by_labels
 from comparisons.errors import InputError
+from comparisons.faults.of_logs import sigmas_of
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
-from comparisons.logs.transforms.known_landmarks import indices_by_label
 from graphslam.goodness_of_fit import Goodness
-from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
-from graphslam.optimisers import levenberg_marquardt
-from graphslam.search import relaxed_values
 from research.script import options, print_head, print_row
 from research.trust.defects import share
 from research.trust.odometry_drives import drive
@@ -44,10 +39,8 @@ from research.trust.odometry_drives import drive
 KINDS = ("velocity", "steering", "poses")
 SAMPLES, FIXES = 400, 10
 EVIDENCE = 30.0
-TOLERANCE = 1e-6
-"""Of the smoother's error, relative."""
 NEAR = 0.03
-"""Relative distance of a number that is said without an interval."""
+"""Relative distance of a number that may lie outside the interval that is said."""
 DEGREE = np.pi / 180.0
 OUTCOMES = "named", "named alone", "another named", "not named"
 
@@ -79,12 +72,13 @@ class DrawnLogFault(NamedTuple):
         numbers = [float(one) for one in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", said)]
         if self.number is None or not numbers:
             return True
+        if abs(numbers[0] - self.number) <= NEAR * abs(self.number) + 1e-3:
+            return True
         interval = re.search(r"\((\S+) to (\S+)\)", said)
         if interval is None:
-            return abs(numbers[0] - self.number) <= NEAR * abs(self.number) + 1e-3
+            return False
         low, high = (float(one) for one in interval.groups())
-        wide = 0.5 * (high - low)
-        return low - wide <= self.number <= high + wide
+        return low <= self.number <= high
 
 
 def _wheels(log: Log) -> str:
@@ -433,18 +427,19 @@ def _of_positions(rng: np.random.Generator) -> Iterator[DrawnLogFault]:
 
 def _of_sigmas(rng: np.random.Generator, log: Log) -> Iterator[DrawnLogFault]:
     factor = float(rng.choice((0.2, 0.33, 0.5)))
-    names = ["range", "bearing"] + ["position"] * (log.positions is not None)
-    names += [] if isinstance(log.odometry, RelativePoses) else ["speed", "turn"]
-    for name in names:
-        said = rf"sigmas? of (the )?({name}|odometry|ranges and bearings)"
-        noise = rf"noise of the {'odometry' if name in ('speed', 'turn') else name}"
-        slot = f"sigma of {name}"
-        yield DrawnLogFault(slot, "square", _sigma(name, np.square), rf"{said}|{noise}")
-        yield DrawnLogFault(slot, "times a number", _sigma(name, lambda s: factor * s),
-                            rf"{said}|{noise}")  # fmt: skip
-    yield DrawnLogFault("sigma of bearing", "other unit",
-                        _sigma("bearing", lambda s: DEGREE * s),
-                        r"sigma of bearings is in radians|noise of the bearing")  # fmt: skip
+    for sigma in sigmas_of(log):
+        if isinstance(log.odometry, RelativePoses) and sigma.component == "odometry":
+            continue
+        slot, column = f"sigma of {sigma.name}", sigma.name.removesuffix("s")
+        yield DrawnLogFault(slot, "square", _sigma(column, np.square),
+                            rf"sigma of {sigma.plural}, \S+, is a variance",
+                            sigma.value**2)  # fmt: skip
+        yield DrawnLogFault(slot, "times a number", _sigma(column, lambda s: factor * s),
+                            rf"noise of the {sigma.name} \S+ times the stated",
+                            1.0 / factor)  # fmt: skip
+        if sigma.is_angle:
+            yield DrawnLogFault(slot, "other unit", _sigma(column, lambda s: DEGREE * s),
+                                rf"sigma of {sigma.plural} is in radians")  # fmt: skip
 
 
 def drawn(rng: np.random.Generator, log: Log) -> DrawnLogFault:
@@ -506,21 +501,15 @@ def main() -> None:
 
 def solved(log: Log) -> Goodness | None:
     """Return the optimum of a log by its labels; None where there is none."""
-    index, ids = indices_by_label(log)
     try:
-        timeline = build_timeline(log, log.positions)
-        fixes = position_rows(timeline, log.positions)
-        problem = assemble(log, timeline, index, len(ids), fixes)
-        graph = build_graph(problem)
-        values = levenberg_marquardt(graph, relaxed_values(problem), TOLERANCE)[0]
+        return solver_by_labels(log).solved(log).goodness
     except (InputError, RuntimeError, ValueError):
         return None
-    return Goodness(problem, graph, values)
 
 
 def statements(log: Log) -> list[str]:
     """Return the changes that are said to make a log fit."""
-    return [one.what for one in examine(log).findings]
+    return [one.said for one in examine(log).findings]
 
 
 def _drive(seed: int, number: int) -> Log:

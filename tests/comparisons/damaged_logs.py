@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.log_doctor import other_frame
+from comparisons.faults.of_logs import other_frame
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import VelocityOdometry
 from comparisons.logs.transforms.calibration import delayed, driven, sensed

@@ -7,19 +7,23 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
 from comparisons.checks.diagnosis import log_doctor
-from comparisons.checks.diagnosis.log_doctor import examine
-from comparisons.checks.diagnosis.log_fit import fitted_numbers, promising, solve_by_run
+from comparisons.checks.diagnosis.log_doctor import examine, examine_run
+from comparisons.checks.diagnosis.log_fit import LogFit, promising
+from comparisons.checks.diagnosis.solved_log import SolvedLog, solved_run
+from comparisons.faults.of_logs import corrections
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import VelocityOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
+from graphslam.goodness_of_fit import Goodness
 from graphslam.optimum import ChiSquareTest
 from research.trust.odometry_drives import drive
 from tests.commands import slamcheck
@@ -85,12 +89,39 @@ def three_times_noisier(log: Log) -> Log:
 
 @pytest.mark.slow
 def test_more_noise_than_stated_is_no_unit() -> None:
-    """No single change explains it, and nothing is named."""
+    """No value explains it; another noise does, by its number."""
     noisy = three_times_noisier(drive(9, "velocity"))
     found = examine(noisy)
     assert found.test.reading == "too high"
-    assert not found.findings
-    assert "none of the changes tried fits; the residuals depart " in found.words
+    (only,) = found.findings
+    assert only.correction.slot == "noise of the bearing"
+    assert only.interval[0] < np.sqrt(10.0) < only.interval[1]
+    assert not only.unit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "power"), [(0.2, 1.0), (0.33, 1.0), (1.0, 2.0)])
+def test_a_sigma_that_few_residuals_tell_is_said_with_what_else_it_may_be(
+    factor: float, power: float
+) -> None:
+    """Of 39 positions; broken: a variance alone was said of 0.02 m that should be 0.1 m."""
+    sound = drive(11, "velocity", fixes=10)
+    positions = present(sound.positions)
+    sigma = factor * 0.1**power
+    found = examine(replace(sound, positions=positions.with_sigma(sigma)))
+    assert found.findings
+    whatever, right = f"sigma of positions, {sigma:.4g}, is a variance", 0.1 / sigma
+    for one in found.findings:
+        assert one.correction.slot == "noise of the positions"
+        low, high = one.interval
+        if one.name is None:
+            assert low < right < high
+        else:
+            assert one.what == f"the {whatever}"
+    if power == 1.0:
+        assert any(one.name is None for one in found.findings)
+    else:
+        assert any(one.name is not None for one in found.findings)
 
 
 def test_the_command_says_so(tmp_path: Path) -> None:
@@ -145,15 +176,16 @@ def log() -> Log:
 
 
 def fits_of(found: Comparison) -> list[str]:
-    solve, test = solve_by_run(found.ekf, found.smoother), found.smoother.optimality.chi_square
-    return [one.what for one in fitted_numbers(found.log, solve, test)]
+    result = found.smoother
+    goodness = Goodness(result.problem, result.graph, result.values)
+    solved = solved_run(goodness, found.smoothed)
+    return [one.what for one in examine_run(found.log, found.ekf, solved)]
 
 
 WRONG: dict[str, tuple[Callable[[Log], Log], str, float]] = {
-    "speed": (lambda log: driven(log, (0.8, 0.0)), "speeds", 1.25),
+    "speed": (lambda log: driven(log, (0.8, 0.0)), "speeds .* times", 1.25),
     "turn": (lambda log: driven(log, turn=(0.8, 0.0)), "steering angles .* times", 1.25),
     "turn's offset": (lambda log: driven(log, turn=(1.0, 0.05)), "on the steering angles", -0.05),
-    "opposite turn": (lambda log: driven(log, turn=(-1.0, 0.0)), "steering angles", -1.0),
     "range": (lambda log: sensed(log, (1.0, 1.0)), "m on the ranges", -1.0),
     "bearing": (lambda log: sensed(log, bearing=(1.0, 0.2)), "rad on the bearings", -0.2),
     "clock": (lambda log: delayed(log, 0.9), "s later than the log says", -0.9),
@@ -168,7 +200,7 @@ def test_the_number_is_named_first_thing(log: Log, name: str) -> None:
     assert found.verdict.outcome != "agree"
     first = found.verdict.causes[0]
     assert first.gap == "log"
-    named = re.split(r"(?:, or )?to \d+ with ", first.evidence)[1:]
+    named = re.split(r"(?:the log fits|, or) (?:with|if) ", first.evidence)[1:]
     said = next(one for one in named if re.search(words, one))
     fitted = present(re.search(r"[-+]?\d+\.?\d*(e-\d+)?", said))
     assert float(fitted[0]) == pytest.approx(number, rel=0.15)
@@ -190,6 +222,53 @@ def test_a_number_leaves_the_noise_and_no_more(chi2: float, said: bool) -> None:
     assert promising(ChiSquareTest(812.0, 400, 318.0, 493.0), chi2, 8) is said
 
 
+@pytest.mark.parametrize(
+    ("slot", "change", "number", "sigma", "said"),
+    [
+        ("odometry: yaw_rate", "lag", 4.0, 0.1,
+         "with turn rates -0.4 s later than the rest of the odometry (-0.4329 to -0.3671)"),
+        ("time of positions", "plus", -0.3, 0.01,
+         "with time stamps of the positions 0.3 s too late (0.2671 to 0.3329)"),
+        ("odometry: speed", "times", 0.5, 0.01,
+         "with speeds 0.5 times the log's (0.4671 to 0.5329)"),
+    ],
+)  # fmt: skip
+def test_an_interval_is_of_the_number_in_the_words(
+    slot: str, change: str, number: float, sigma: float, said: str
+) -> None:
+    """Broken: samples beside seconds, and a negative interval of a delay without its sign."""
+    log = drive(7, "velocity", fixes=10)
+    (correction,) = (one for one in corrections(log) if (one.slot, one.change) == (slot, change))
+    unsolved = cast(SolvedLog, None)
+    assert LogFit(correction, (number,), (sigma,), unsolved).said == said
+
+
+@pytest.mark.slow
+def test_a_unit_that_may_be_a_calibration_is_said_beside_its_number() -> None:
+    """Broken: speeds that are twice too large were knots, by 3 %."""
+    found = examine(driven(drive(14, "velocity", fixes=10), (2.0, 0.0)))
+    numbers = [one for one in found.findings if one.correction.slot == "odometry: speed"]
+    low, high = present(next(one for one in numbers if one.name is None)).interval
+    assert low < 0.5 < high
+
+
+def variances_by_row(log: Log) -> Log:
+    """Sigmas of ranges that are not alike, given as variances; the errors have them."""
+    rng, seen = np.random.default_rng(0), log.measurements
+    sigma = rng.uniform(0.05, 0.2, len(seen.time_s))
+    more = np.sqrt(sigma**2 - 0.05**2) * rng.standard_normal(len(seen.time_s))
+    changed = replace(seen, range_m=seen.range_m + more, sigma_range_m=sigma**2)
+    return replace(log, measurements=changed)
+
+
+@pytest.mark.slow
+def test_variances_of_rows_are_said_where_no_factor_is_their_root() -> None:
+    found = examine(variances_by_row(drive(15, "velocity")))
+    assert found.findings[0].what.startswith("the sigmas of ranges, ")
+    assert found.findings[0].what.endswith(" are variances")
+    assert found.findings[0].mend == "give their square roots"
+
+
 def test_a_clock_far_off_is_reached() -> None:
     """1.5 s; broken: Newton's method from zero."""
     wrong = late(drive(12, "velocity"), 1.5)
@@ -197,7 +276,7 @@ def test_a_clock_far_off_is_reached() -> None:
     first = found.findings[0]
     fitted = present(re.fullmatch(r"measurements (\S+) s later than the log says", first.what))
     assert float(fitted[1]) == pytest.approx(-1.5, abs=0.05)
-    mended = examine(first.change(wrong))
+    mended = examine(first.correct(wrong))
     assert mended.test.reading == "plausible"
 
 

@@ -1,60 +1,58 @@
-"""What is wrong with a log before any filter sees it: units, signs, columns, clocks, sigmas.
+"""What is wrong with a log before any filter sees it, by composing slots and changes.
 
-Each suspicion is a change of the log that would mend it. The smoother solves a part of the log with
-the log's labels as it is and with each change; a change is named where what is left is the stated
-noise, as a whole and by sensor, landmark and time.
+The smoother solves a part of the log with the log's labels as it is and with each correction of
+`faults.of_logs`, fitted where it has numbers (`log_fit`); one is named where what is left is the
+stated noise, as a whole and by sensor, landmark and time. Where no value of the log explains it,
+two exchanged labels may, or another noise of a sensor (`sigma_fit`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.adapters.smoother_input import assemble, build_problem, position_rows
 from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
+from comparisons.checks.diagnosis.exchanged_labels import label_corrections
 from comparisons.checks.diagnosis.log_fit import (
     LogFit,
-    alike,
-    fitted_numbers,
-    promising,
-    solve_by_run,
+    LogFits,
+    TestedLog,
+    fits_of,
+    less_noisy,
+    not_excluded,
 )
-from comparisons.checks.diagnosis.other_noise import has_stated_noise
-from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog
+from comparisons.checks.diagnosis.sigma_fit import sigma_fits
+from comparisons.checks.diagnosis.solved_log import LogSolver, SolvedLog
 from comparisons.errors import InputError
+from comparisons.faults.of_logs import corrections, sigma_corrections
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from comparisons.logs.transforms.known_landmarks import indices_by_label, join_known_measurements
-from graphslam.goodness_of_fit import Goodness, far_less
-from graphslam.graph_builder import build_graph
-from graphslam.increments import dead_reckoned
-from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import ChiSquareTest
-from graphslam.search import relaxed_values
-from graphslam.smoother import SmootherEvidence
+from graphslam.problem import SlamProblem
 
 _MOST_MEASUREMENTS = 600
 """Of the part that is solved first."""
+_FEW_MEASUREMENTS = 150
+"""Of the part by which corrections are sorted out."""
+_FEWEST_MEASUREMENTS = 60
+"""Of the part by which those are sorted out that would make the residuals of a sound log larger."""
 _FEWEST = 20
 """Degrees of freedom; fewer tell nothing."""
-_TOLERANCE = 1e-5
-_DEGREE = np.pi / 180.0
 
 
 class Examination(NamedTuple):
     """What is wrong with a log.
 
-    test: of the log as it is, or of its first part. findings: changes with which all of it fits,
-    the likeliest first. lacks: why none is tried. departure: where its residuals leave the stated
-    noise, if no change makes it fit. part: what is tested, where that is not the whole.
+    test: of the log as it is, or of its first part. findings: corrections with which all of it
+    fits, the likeliest first. lacks: why none is tried. departure: where its residuals leave the
+    stated noise, if no correction makes it fit. part: what is tested, where that is not the whole.
     """
 
     test: ChiSquareTest
@@ -71,9 +69,9 @@ class Examination(NamedTuple):
         """
         test = self.test
         if self.findings:
-            what = ", or if ".join(f"{one.what} ({one.mend})" for one in self.findings)
+            what = ", or ".join(f"{one.said} ({one.mend})" for one in self.findings)
             return (
-                f"the log fits if {what}: the smoother's chi-square falls from {test.chi2:.4g} to "
+                f"the log fits {what}: the smoother's chi-square falls from {test.chi2:.4g} to "
                 f"{self.findings[0].chi2:.4g} with this changed, for {test.dof} degrees of freedom"
             )
         if test.reading != "too high":
@@ -85,35 +83,8 @@ class Examination(NamedTuple):
         )
 
 
-class _Suspicion(NamedTuple):
-    """change: the log as it should be. keeps_size: of all residuals, as a sign does.
-
-    sensors: whose sigmas it changes; their residuals have to tell the noise that is then stated.
-    """
-
-    what: str
-    mend: str
-    change: Callable[[Log], Log]
-    keeps_size: bool = False
-    unit: bool = False
-    sensors: tuple[str, ...] = ()
-
-
-class _Tested(NamedTuple):
-    """A log, or its first part, and its optimum. solve: of it with a change."""
-
-    log: Log
-    solved: SolvedLog
-    solve: Solve
-
-    @property
-    def test(self) -> ChiSquareTest:
-        """Of the log as it is."""
-        return self.solved.goodness.test
-
-
 def examine(log: Log) -> Examination:
-    """Return what is wrong with units, signs, columns, clocks or sigmas of a log with labels.
+    """Return what is wrong with columns, clocks, places, frames or sigmas of a log with labels.
 
     Nothing for a log that fits. Of a long log a part is solved first; what makes that fit has to
     make all of it fit.
@@ -123,270 +94,154 @@ def examine(log: Log) -> Examination:
     tested, lacks = _tested(part)
     if tested is None:
         return Examination(ChiSquareTest(0.0, 0, 0.0, 0.0), [], lacks)
-    whole = tested if part is log else None
-    scope = "" if whole else f" of its first {len(part.measurements.time_s)} measurements"
-    for changes in (_of_suspicions, _of_numbers, _of_variances):
-        if not changes(tested):
-            continue
-        whole = whole or _tested(log)[0]
-        if whole is not None and (fits := changes(whole)):
+    scope = "" if part is log else f" of its first {len(part.measurements.time_s)} measurements"
+    whole: TestedLog | None = tested if part is log else None
+    least = np.inf
+    for search in (_of_values, _of_labels, _of_sigmas):
+        fits, least = search(tested, least)
+        if fits and part is not log:
+            whole = whole or _tested(log)[0]
+            fits = [] if whole is None else _of_whole(whole, fits, search)
+        if fits and whole is not None:
             return Examination(whole.test, fits)
     high = tested.test.reading == "too high"
     departure = tested.solved.departure if high else ""
     return Examination(tested.test, [], departure=departure, part=scope)
 
 
-def examine_run(log: Log, run: EkfRun, result: SmootherEvidence, solved: SolvedLog) -> list[LogFit]:
+def examine_run(log: Log, run: EkfRun, solved: SolvedLog) -> list[LogFit]:
     """Return what makes a log fit as a run used it, the likeliest first.
 
-    log: as the estimators read it, with labels; else nothing. result: the smoother's, whose
-    chi-square is too high, and which no number explains. solved: the same.
+    Nothing where another noise alone does, which `other_noise` says of a run.
+
+    log: as the estimators read it. solved: the smoother's optimum, whose chi-square is too high.
     """
-    if not log.measurements.labelled or not len(log.odometry.time_s):
-        return []
-    part = _part(replace(log, positions=run.positions))
-    whole = _Tested(log, solved, solve_by_run(run, result))
-    tested = whole if len(part.measurements.time_s) == len(log.measurements.time_s) else None
-    tested = tested or _tested(join_known_measurements(part))[0]
-    for changes in (_of_suspicions, _of_variances):
-        if tested is not None and changes(tested) and (fits := changes(whole)):
+    log = fused_log(log, run)
+    whole = TestedLog(log, solved, solver_of_run(run, solved))
+    named = _labelled(log, run)
+    part = _part(named)
+    tested: TestedLog | None = whole
+    if len(part.measurements.time_s) < len(named.measurements.time_s):
+        tested = _tested(part)[0]
+    least = np.inf
+    for search in (_of_values, _of_sigmas):
+        fits, least = LogFits([]) if tested is None else search(tested, least)
+        if fits and tested is not whole:
+            fits = _of_whole(whole, fits, search)
+        if any(one.name is not None or not one.correction.sensors for one in fits):
             return fits
     return []
 
 
-def _of_suspicions(tested: _Tested) -> list[LogFit]:
-    return _named(tested, list(_suspicions(tested.log)))
+Search = Callable[[TestedLog, float], LogFits]
+"""Of a log, beside a chi-square that other corrections leave; infinite where there are none."""
 
 
-def _of_numbers(tested: _Tested) -> list[LogFit]:
+def _of_whole(whole: TestedLog, fits: list[LogFit], search: Search) -> list[LogFit]:
+    """What makes a part fit has to make all of the log fit."""
+    if search is _of_labels:
+        return search(whole, np.inf).fits
+    tried = list(dict.fromkeys(one.correction for one in fits))
+    if search is _of_sigmas:
+        near = {one.correction.slot: one.correction._replace(neutral=one.numbers) for one in fits}
+        return sigma_fits(whole, near.values()) if _is_suspect(whole) else []
+    if _is_suspect(whole) and (found := fits_of(whole, tried).fits):
+        return found
+    return less_noisy(whole, tried).fits
+
+
+def _is_suspect(tested: TestedLog) -> bool:
+    """Whether something leaves the stated noise, and less may be left of it."""
+    return tested.test.reading != "too low" and not tested.solved.goodness.sound
+
+
+def _of_values(tested: TestedLog, least: float) -> LogFits:
+    """Values, clocks, places and frames."""
+    tried = list(corrections(tested.log))
+    if _is_suspect(tested):
+        short = _tested(_part(tested.log, _FEW_MEASUREMENTS))[0]
+        left = tried if short is None else not_excluded(short, tried)
+        fits = fits_of(tested, left, least)
+        if fits.fits or np.isfinite(fits.least):
+            return fits
+    return less_noisy(tested, tried, _tested(_part(tested.log, _FEWEST_MEASUREMENTS))[0])
+
+
+def _of_labels(tested: TestedLog, least: float) -> LogFits:
     if tested.test.reading != "too high":
-        return []
-    return fitted_numbers(tested.log, tested.solve, tested.test)
+        return LogFits([], least)
+    return fits_of(tested, list(label_corrections(tested)), least)
 
 
-def _of_variances(tested: _Tested) -> list[LogFit]:
-    if tested.test.reading != "too high":
-        return []
-    return _named(tested, list(_as_variances(tested.log)))
+def _of_sigmas(tested: TestedLog, least: float) -> LogFits:
+    """Nothing beside a promising correction of another kind, for a larger noise explains all."""
+    if not _is_suspect(tested) or np.isfinite(least):
+        return LogFits([], least)
+    return LogFits(sigma_fits(tested, sigma_corrections(tested.log)))
 
 
-def _named(tested: _Tested, suspicions: list[_Suspicion]) -> list[LogFit]:
-    """Return the changes that leave the stated noise, or, of signs and columns, less than it."""
-    test, fits = tested.test, []
-    for one in suspicions:
-        if test.reading != "too high" and not one.keeps_size:
-            continue
-        try:
-            solved = tested.solve(one.change(tested.log), True)
-        except (InputError, RuntimeError, ValueError):
-            continue
-        goodness = solved.goodness
-        if promising(test, solved.chi2, len(suspicions)):
-            fit = goodness.sound and has_stated_noise(goodness, one.sensors)
-        else:
-            fit = one.keeps_size and far_less(goodness.test, test) and goodness.within
-        if fit:
-            fits.append(LogFit(one.what, solved, one.change, one.mend, one.unit))
-    return alike(fits)
-
-
-def _tested(log: Log) -> tuple[_Tested | None, str]:
+def _tested(log: Log) -> tuple[TestedLog | None, str]:
     """Return a log with its optimum, or why there is none."""
     if not log.measurements.labelled or not len(log.odometry.time_s):
         return None, "the log has no labelled measurements of landmarks"
+    solver = solver_by_labels(log)
     try:
-        solved = _solved(log)
+        solved = solver.solved(log)
     except (InputError, RuntimeError, ValueError):
-        solved = None
-    if solved is None or not np.isfinite(solved.chi2) or solved.goodness.test.dof < _FEWEST:
         return None, "the smoother cannot solve a part of it"
-    return _Tested(log, solved, _solved), ""
+    if not np.isfinite(solved.chi2) or solved.goodness.test.dof < _FEWEST:
+        return None, "the smoother cannot solve a part of it"
+    return TestedLog(log, solved, solver), ""
 
 
-def _part(log: Log) -> Log:
-    """The first measurements, and what goes with them."""
+def _part(log: Log, most: int = 0) -> Log:
+    """The first measurements, _MOST_MEASUREMENTS or so many, and what goes with them."""
+    most = most or _MOST_MEASUREMENTS
     time_s = np.sort(log.measurements.time_s)
-    if len(time_s) <= _MOST_MEASUREMENTS:
+    if len(time_s) <= most:
         return log
-    return cut_log(log, None, float(time_s[_MOST_MEASUREMENTS]) - log.prior.time_s)
+    return cut_log(log, None, float(time_s[most]) - log.prior.time_s)
 
 
-def _solved(log: Log, _: bool = True) -> SolvedLog:
-    """The smoother's optimum by the labels. Raises InputError, RuntimeError or ValueError."""
-    timeline = build_timeline(log, log.positions)
-    index, ids = indices_by_label(log)
-    problem = assemble(log, timeline, index, len(ids), position_rows(timeline, log.positions))
-    graph = build_graph(problem)
-    values = levenberg_marquardt(graph, relaxed_values(problem), _TOLERANCE)[0]
-    goodness = Goodness(problem, graph, values)
-    return SolvedLog(goodness, timeline.epoch_time_s, ids.tolist(), log.labels)
+def solver_by_labels(log: Log) -> LogSolver:
+    """Return what solves a log, and changes of it, by the labels of its measurements."""
+    _, ids = indices_by_label(log)
+    order = np.argsort(ids)
+
+    def problem(changed: Log) -> tuple[SlamProblem, Array]:
+        timeline = build_timeline(changed, changed.positions)
+        index = order[np.searchsorted(ids[order], changed.measurements.landmark)]
+        fixes = position_rows(timeline, changed.positions)
+        return assemble(changed, timeline, index, len(ids), fixes), timeline.epoch_time_s
+
+    return LogSolver(problem, ids.tolist(), log.labels)
 
 
-def _suspicions(log: Log) -> Iterator[_Suspicion]:
-    """Gross faults, of what the log has."""
-    motions = isinstance(log.odometry, RelativePoses)
-    turn, speed = ("heading", "x") if motions else ("yaw_rate", "speed")
-    rate = "rad" if motions else "radps"
-    if isinstance(log.odometry, SteeringOdometry):
-        turn, rate = "steering", "rad"
-    degrees = rate.replace("rad", "deg")
-    yield _Suspicion(
-        "bearings grow clockwise", "give --unit bearing=-rad (or -deg)",
-        lambda g: sensed(g, bearing=(-1.0, 0.0)), True,
-    )  # fmt: skip
-    yield _Suspicion(
-        f"{turn} grows clockwise", f"give --unit {turn}=-{rate} (or -{degrees})",
-        lambda g: driven(g, turn=(-1.0, 0.0)), True,
-    )  # fmt: skip
-    yield _Suspicion(
-        "bearings are from the left, not from straight ahead", "subtract 90 degrees from them",
-        lambda g: sensed(g, bearing=(1.0, -np.pi / 2)), True,
-    )  # fmt: skip
-    yield _Suspicion(
-        "ranges and bearings are exchanged", "exchange the names of these two columns",
-        _exchanged_measurements, True,
-    )  # fmt: skip
-    yield from (one._replace(unit=True) for one in _scales(turn, speed, rate))
-    if motions:
-        yield from _frames()
-    else:
-        yield _Suspicion(
-            "times are milliseconds", "name the columns time_ms, or give --unit time=ms",
-            lambda g: driven(g, (1e-3, 0.0), (1e-3 if rate == "radps" else 1.0, 0.0)),
-        )  # fmt: skip
-        yield _Suspicion(
-            f"speed and {turn} are exchanged", "exchange the names of these two columns",
-            _exchanged_controls, True,
-        )  # fmt: skip
+def fused_log(log: Log, run: EkfRun) -> Log:
+    """Return a log with those of its positions that a run fused."""
+    fused = run.positions and run.positions.chosen(run.fix_number)
+    return replace(log, positions=fused)
 
 
-def _scales(turn: str, speed: str, rate: str) -> Iterator[_Suspicion]:
-    """Units."""
-    degrees = rate.replace("rad", "deg")
-    for taken, factor in (("deg", _DEGREE), ("rad", 1.0 / _DEGREE)):
-        right = "degrees" if taken == "deg" else "radians"
-        yield _Suspicion(
-            f"bearings are {right}", f"give --unit bearing={taken}",
-            partial(sensed, bearing=(factor, 0.0)),
-        )  # fmt: skip
-        yield _Suspicion(
-            f"{turn} is in {right}",
-            f"give --unit {turn}={degrees if taken == 'deg' else rate}",
-            partial(driven, turn=(factor, 0.0)),
+def solver_of_run(run: EkfRun, solved: SolvedLog) -> LogSolver:
+    """Return what solves a log with its fused positions, and changes of it, as a run did."""
+
+    def problem(changed: Log) -> tuple[SlamProblem, Array]:
+        timeline = build_timeline(changed, changed.positions)
+        count = len(timeline.position_epoch)
+        used = replace(
+            run, timeline=timeline, positions=changed.positions, fix_number=np.arange(count)
         )
-    yield _Suspicion(
-        f"bearings and {turn} are degrees", f"give --unit bearing=deg --unit {turn}={degrees}",
-        lambda g: sensed(driven(g, turn=(_DEGREE, 0.0)), bearing=(_DEGREE, 0.0)),
-    )  # fmt: skip
-    for unit, factor in (("cm", 1e-2), ("mm", 1e-3)):
-        yield _Suspicion(
-            f"ranges are {unit}", f"give --unit range={unit}",
-            partial(sensed, range_=(factor, 0.0)),
-        )  # fmt: skip
-        yield _Suspicion(
-            f"{speed} is in {unit}" + ("/s" if speed == "speed" else ""),
-            f"divide it by {1.0 / factor:.0f}", partial(driven, speed=(factor, 0.0)),
-        )  # fmt: skip
-    if speed == "speed":
-        yield _Suspicion(
-            "speeds are km/h", "give --unit speed=kmh", lambda g: driven(g, (1.0 / 3.6, 0.0))
-        )
+        return build_problem(changed, used), timeline.epoch_time_s
+
+    return LogSolver(problem, solved.landmarks, solved.labels)
 
 
-def _frames() -> Iterator[_Suspicion]:
-    """Axes of poses."""
-    for what, x, y, turned in (
-        ("x and y of the poses are exchanged", "y", "x", 1.0),
-        ("y of the poses grows to the right", "x", "-y", 1.0),
-        ("the poses are in a frame whose y and heading go clockwise", "x", "-y", -1.0),
-        ("the poses are north, east and clockwise headings from north", "y", "x", -1.0),
-    ):
-        yield _Suspicion(
-            what, f"give the odometry as x = {x}, y = {y}" + (", -heading" if turned < 0 else ""),
-            partial(other_frame, x=x, y=y, turned=turned), True,
-        )  # fmt: skip
-
-
-def other_frame(log: Log, x: str, y: str, turned: float) -> Log:
-    """Return a log of motions whose poses, from the origin on, have other axes; its noise stays.
-
-    x, y: which of `x`, `y` and `-y` of the poses these are. turned: 1, or -1 for headings that grow
-    the other way.
-    """
-    moved = log.odometry
-    if not isinstance(moved, RelativePoses):
+def _labelled(log: Log, run: EkfRun) -> Log:
+    """The log with the run's association for labels where it has none, unused rows left out."""
+    if log.measurements.labelled:
         return log
-    pose = dead_reckoned(np.zeros(3), moved.displacement)
-    axes = {"x": pose[:, 0], "y": pose[:, 1], "-y": -pose[:, 1]}
-    heading = turned * pose[:, 2]
-    step = (np.diff(axes[x]) + 1j * np.diff(axes[y])) * np.exp(-1j * heading[:-1])
-    displacement = np.column_stack((step.real, step.imag, np.diff(heading)))
-    return replace(log, odometry=replace(moved, displacement=displacement))
-
-
-def _exchanged_measurements(log: Log) -> Log:
-    seen = log.measurements
-    if seen.bearing_rad.min(initial=1.0) <= 0.0:  # those cannot be ranges
-        raise InputError("bearings are negative")
-    bearing = np.angle(np.exp(1j * seen.range_m))
-    return replace(log, measurements=replace(seen, range_m=seen.bearing_rad, bearing_rad=bearing))
-
-
-def _exchanged_controls(log: Log) -> Log:
-    moved = log.odometry
-    if isinstance(moved, RelativePoses):
-        return log
-    turn: Array = (
-        moved.steering_rad if isinstance(moved, SteeringOdometry) else moved.yaw_rate_radps
-    )
-    speed = moved.speed_mps
-    return controlled(log, lambda _: turn, lambda _: speed)
-
-
-def _as_variances(log: Log) -> Iterator[_Suspicion]:
-    """Stated sigmas that are variances, below 1, or of another unit; of two sensors, too."""
-    seen = log.measurements
-    below_one = []
-    for name, what in (("sigma_range_m", "range"), ("sigma_bearing_rad", "bearing")):
-        if (getattr(seen, name) < 1.0).all():
-            below_one.append(name)
-            sigma = float(np.median(getattr(seen, name)))
-            yield _Suspicion(
-                f"the sigma of {what}s, {sigma:.4g}, is a variance",
-                f"give --sigma-{what} {np.sqrt(sigma):.4g}",
-                partial(_rooted, names=(name,)),
-                sensors=(what,),
-            )
-    if len(below_one) == 2:
-        yield _Suspicion(
-            "the sigmas of ranges and bearings are variances", "give their square roots",
-            partial(_rooted, names=tuple(below_one)), sensors=("range", "bearing"),
-        )  # fmt: skip
-    sigma = float(np.median(seen.sigma_bearing_rad)) / _DEGREE
-    yield _Suspicion(
-        "the sigma of bearings is in radians and was taken for degrees",
-        f"give --sigma-bearing {sigma:.4g}rad",
-        lambda g: _with_sigmas(g, sigma_bearing_rad=g.measurements.sigma_bearing_rad / _DEGREE),
-        sensors=("bearing",),
-    )
-    moved = log.odometry
-    if not isinstance(moved, RelativePoses):
-        speed, turn = np.sqrt((moved.noise.sigma_speed_mps, moved.noise.sigma_turn)).tolist()
-        noise = replace(moved.noise, sigma_speed_mps=speed, sigma_turn=turn)
-        rooted = replace(moved, noise=noise)
-        yield _Suspicion(
-            "the sigmas of the odometry are variances",
-            f"give --sigma-speed {speed:.4g} --sigma-turn {turn:.4g}",
-            lambda g: replace(g, odometry=rooted),
-            sensors=("odometry",),
-        )
-
-
-def _rooted(log: Log, names: tuple[str, ...]) -> Log:
-    """The log with the square roots of some sigmas."""
-    seen = log.measurements
-    return _with_sigmas(log, **{name: np.sqrt(getattr(seen, name)) for name in names})
-
-
-def _with_sigmas(log: Log, **sigmas: Any) -> Log:
-    return replace(log, measurements=replace(log.measurements, **sigmas))
+    index = run.landmark_index
+    rows = np.flatnonzero(index >= 0)
+    labels = run.estimate.landmark_id[index[rows]]
+    return replace(log, measurements=replace(log.measurements.chosen(rows), landmark=labels))

@@ -1,231 +1,419 @@
-"""Which single number of the log's sensors, if it were another, makes the smoother fit.
+"""Corrections of a log that leave its stated noise, with their numbers.
 
-Each is fitted alone by minimising the chi-square of the smoother's optimum over it: scales of
-speed, turn, range and bearing (-1 for the opposite sign), offsets of the last three, and the clock
-of the measurements. It is named where what is left is the stated noise, everywhere.
+The smoother solves the log with each correction of `faults.of_logs`. Numbers are fitted by Newton's
+method on the optimum's chi-square: the residuals' derivative by a number, less what the state
+absorbs of it, gives step and standard deviation. A number that has a name within its interval is
+said by that name. `log_doctor` calls this for a log and for a run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import fdtrc
 
-from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.smoother_input import build_problem
-from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.diagnosis.solved_log import Solve, SolvedLog
+from comparisons.arrays import Array
+from comparisons.checks.diagnosis.solved_log import LogSolver, SolvedLog
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Poses
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
-from comparisons.logs.transforms.calibration import Line, delayed, driven, sensed
-from graphslam.goodness_of_fit import Goodness
-from graphslam.graph_builder import build_graph, to_values
-from graphslam.optimisers import levenberg_marquardt
+from comparisons.faults.of_logs import LogCorrection, NamedNumber
+from comparisons.logs.log import Log
+from graphslam.goodness_of_fit import far_less
 from graphslam.optimum import ChiSquareTest
-from graphslam.search import relaxed_values
-from graphslam.smoother import SmootherEvidence
+from graphslam.problem import SlamProblem
+from graphslam.sparse_system import column_lengths, normal_factors, scaled_columns, sparse_system
 
 LEVEL = 1e-6
-"""Of the F test of all numbers together."""
-_ROUNDS = 4
-_MOST_REFINED = 3
-_AS_LIKELY = -2.0 * float(np.log(LEVEL))
+"""Of the F test of all corrections together."""
+_ROUNDS = 8
+_HALVINGS = 3
+_SETTLED = 0.1
+"""Chi-square that another step would take off, of a number that is found."""
+_LEAST_PROMISE = 8.0
+"""Chi-square that a first step takes off where it lies in its band, or a number is not sought."""
+_LEAST_GAIN = 0.02
+"""Share of the excess that a step takes off, or there is no use in another."""
+AS_LIKELY = -2.0 * float(np.log(LEVEL))
 """Chi-square above the least: what leaves no more may be the one."""
-_DELAYS_S = (-2.0, -1.0, -0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 1.0, 2.0)
-_TOLERANCE = 1e-6
-"""Of the smoother's error, relative."""
-
-_WORDS: dict[type, tuple[str, str]] = {
-    RelativePoses: ("ways between poses", "turns between poses"),
-    SteeringOdometry: ("speeds", "steering angles"),
-    VelocityOdometry: ("speeds", "turn rates"),
-}
+_QUANTILE = 3.29
+"""Standard deviations to both ends of an interval of 99.9 %."""
+_WIDEST = 0.05
+"""Standard deviation, relative to the number or to a radian, beyond which a number has no name."""
+_SURE = 0.01
+"""Half the interval of a factor that has a name, within which it is that and no calibration."""
+_CALIBRATIONS = 1.0 / 3.0, 3.0
+"""Factors between these may be calibrations as well."""
+_LOOSE = 1.25
+"""Times the upper end of a short part's band; what leaves more is excluded."""
+_FAILURES = (InputError, RuntimeError, ValueError, FloatingPointError)
 
 
 class LogFit(NamedTuple):
-    """A change with which the log fits.
+    """A correction with which a log fits.
 
-    what: in words. solved: with it. change: makes the log as it should be. mend: what corrects it.
-    unit: it is about a unit.
+    Attributes:
+        correction: What is corrected.
+        numbers: Of it.
+        sigmas: Of these; NaN where they are not known.
+        solved: With it.
+        name: Of its number, if it has one.
     """
 
-    what: str
+    correction: LogCorrection
+    numbers: tuple[float, ...]
+    sigmas: tuple[float, ...]
     solved: SolvedLog
-    change: Callable[[Log], Log]
-    mend: str = "correct the calibration or the clock"
-    unit: bool = False
+    name: NamedNumber | None = None
+
+    @property
+    def what(self) -> str:
+        """What is wrong, in words."""
+        return self.correction.what(*self.numbers) if self.name is None else self.name.what
+
+    @property
+    def said(self) -> str:
+        """The same as the end of `the log fits ...`, with the interval of a single number."""
+        if self.name is not None or not self.numbers:
+            return f"if {self.what}"
+        bounds = ""
+        if np.isfinite(self.interval).all():
+            low, high = sorted(map(self.correction.shown, self.interval))
+            bounds = f" ({low:.4g} to {high:.4g})"
+        return f"with {self.what}{bounds}"
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of a single number, 99.9 %; infinite of several."""
+        if len(self.numbers) != 1 or not np.isfinite(self.sigmas[0]):
+            return -np.inf, np.inf
+        number, wide = self.numbers[0], _QUANTILE * self.sigmas[0]
+        if self.correction.sensors:
+            spread = float(np.exp(wide / number))
+            return number / spread, number * spread
+        return number - wide, number + wide
+
+    @property
+    def mend(self) -> str:
+        """What the user may do."""
+        return self.correction.mend if self.name is None else self.name.mend
+
+    @property
+    def unit(self) -> bool:
+        """Whether it is about a unit."""
+        return self.name is not None and self.name.is_unit
 
     @property
     def chi2(self) -> float:
-        """Of the whole with the change."""
+        """Of the whole with the correction."""
         return self.solved.chi2
 
+    def correct(self, log: Log) -> Log:
+        """Return a log as it should be."""
+        return self.correction.correct(log, *self.numbers)
+
+
+class TestedLog(NamedTuple):
+    """A log, or its first part, with its optimum and what solves it when it is changed."""
+
+    log: Log
+    solved: SolvedLog
+    solver: LogSolver
+
     @property
-    def fits(self) -> bool:
-        """Whether what is left is the stated noise: as a whole, by sensor, landmark and time."""
-        return self.solved.goodness.sound
+    def test(self) -> ChiSquareTest:
+        """Of the log as it is."""
+        return self.solved.goodness.test
+
+    def with_correction(
+        self, correction: LogCorrection, numbers: Sequence[float], near: SolvedLog | None = None
+    ) -> SolvedLog | None:
+        """Return the optimum with a correction; None where there is none.
+
+        near: an optimum from where it is sought; None to seek it afresh.
+        """
+        try:
+            solved = self.solver.solved(correction.correct(self.log, *numbers), near)
+        except _FAILURES:
+            return None
+        return solved if np.isfinite(solved.chi2) else None
 
 
-class _Number(NamedTuple):
-    """change: makes the log's value right if the number is. step: about what noise hides.
+class LogFits(NamedTuple):
+    """Corrections with which a log fits, the likeliest first.
 
-    grid: numbers in order, with that of no fault, between which chi-square is no smooth function,
-    as of a delay, that moves measurements from sample to sample.
+    least: deviance, as `_deviance`, of the likeliest of all that were tried, infinite where none is
+        promising. It may not be among the fits, for a part of what it leaves is no noise.
     """
 
-    words: str
-    change: Callable[[Log, float], Log]
-    neutral: float
-    step: float
-    grid: tuple[float, ...] = ()
+    fits: list[LogFit]
+    least: float = np.inf
 
 
-def _numbers(log: Log) -> Iterator[_Number]:
-    """Of what the log has."""
-    way, turn = _WORDS[type(log.odometry)]
-    yield from _of_sensor(way, "", 0.0, driven)
-    yield from _of_sensor(turn, "rad", 1e-3, lambda g, line: driven(g, turn=line))
-    if not len(log.measurements.time_s):
+def fits_of(
+    tested: TestedLog, corrections: Sequence[LogCorrection], least: float = np.inf
+) -> LogFits:
+    """Return the corrections with which a log fits.
+
+    tested: some part of its residuals leaves the stated noise. least: deviance of others, beside
+    which these have to be likely.
+    """
+    fits = []
+    for correction in corrections:
+        fit = _fitted(tested, correction)
+        if fit is None or not promising(
+            tested.test, fit.chi2, len(corrections), max(1, len(fit.numbers))
+        ):
+            continue
+        least = min(least, _deviance(tested, fit))
+        fits += [one for one in _by_name(tested, fit) if one.solved.goodness.sound]
+    return LogFits(_alike(tested, fits, least), least)
+
+
+def less_noisy(
+    tested: TestedLog, corrections: Iterable[LogCorrection], short: TestedLog | None = None
+) -> LogFits:
+    """Return the corrections that keep the size of all residuals, and with which they are far less.
+
+    tested: its chi-square may lie in its band, for its sigmas may be too large. short: a part of
+    it, whose residuals they must not make larger.
+    """
+    fits: list[LogFit] = []
+    for correction in corrections:
+        names: list[NamedNumber | None] = [one for one in correction.names if one.keeps_size]
+        for name in [None] if correction.keeps_size else names:
+            fits += _less_noise(tested, correction, name, short)
+    return LogFits(_alike(tested, fits))
+
+
+def _less_noise(
+    tested: TestedLog, correction: LogCorrection, name: NamedNumber | None, short: TestedLog | None
+) -> Iterator[LogFit]:
+    numbers = () if name is None else (name.number,)
+    if short is not None:
+        part = short.with_correction(correction, numbers)
+        if part is None or part.chi2 > short.solved.chi2 + AS_LIKELY:
+            return
+    solved = tested.with_correction(correction, numbers)
+    if solved is None or not far_less(solved.goodness.test, tested.test):
         return
-    yield from _of_sensor("ranges", "m", 0.01, sensed)
-    yield from _of_sensor("bearings", "rad", 1e-3, lambda g, line: sensed(g, bearing=line))
-    if not isinstance(log.odometry, RelativePoses):
-        yield _Number(
-            "measurements {:+.3g} s later than the log says", delayed, 0.0, 0.05, _DELAYS_S
-        )
+    if solved.goodness.within:
+        yield LogFit(correction, numbers, (np.nan,) * len(numbers), solved, name)
 
 
-def _of_sensor(
-    name: str, unit: str, step: float, change: Callable[[Log, Line], Log]
-) -> Iterator[_Number]:
-    """A scale, and an offset where it has a unit."""
-    yield _Number(f"{name} {{:.3g}} times the log's", lambda g, k: change(g, (k, 0.0)), 1.0, 0.01)
-    if unit:
-        offset = f"an offset of {{:+.3g}} {unit} on the {name}"
-        yield _Number(offset, lambda g, b: change(g, (1.0, b)), 0.0, step)
+def not_excluded(tested: TestedLog, corrections: Sequence[LogCorrection]) -> list[LogCorrection]:
+    """Return the corrections that a short part of a log does not exclude, from its numbers on.
 
-
-def solve_by_run(run: EkfRun, result: SmootherEvidence) -> Solve:
-    """Return the solution, by a run's association, of a log that is changed."""
-    poses = Poses(run.timeline.epoch_time_s, result.poses)
-
-    def solved(changed: Log, afresh: bool) -> SolvedLog:
-        timeline = build_timeline(changed, run.positions)
-        problem = build_problem(changed, replace(run, timeline=timeline))
-        graph = build_graph(problem)
-        if afresh:
-            values = relaxed_values(problem)
-        else:
-            seen = problem.seen_landmarks, problem.pose_landmarks
-            values = to_values(poses.at(timeline.epoch_time_s), result.landmarks, *seen)
-        optimum = levenberg_marquardt(graph, values, _TOLERANCE)[0]
-        ids, labels = run.estimate.landmark_id.tolist(), dict(run.estimate.labels)
-        return SolvedLog(Goodness(problem, graph, optimum), timeline.epoch_time_s, ids, labels)
-
-    return solved
-
-
-def fitted_numbers(log: Log, solve: Solve, test: ChiSquareTest) -> list[LogFit]:
-    """Return the numbers that make a log fit whose chi-square is too high, the best first.
-
-    test: of the log as it is.
+    tested: the part; all of them where it fits as it is.
     """
-    rough = []
-    for one in _numbers(log):
-        fit = _Fit(log, solve, test.chi2, one)
-        rough.append((fit.round(), fit))
-    rough.sort(key=lambda pair: pair[0])
-    candidates = []
-    for _, fit in rough[:_MOST_REFINED]:
-        if promising(test, fit.refined(), len(rough)):
-            candidates.append(fit.log_fit)
-    return alike([one for one in candidates if one.fits])
+    if tested.test.reading != "too high":
+        return list(corrections)
+    most = _LOOSE * tested.test.upper
+    fits = (_fitted(tested, one) for one in corrections)
+    return [_from_there(fit) for fit in fits if fit is not None and fit.chi2 <= most]
 
 
-def alike(fits: Sequence[LogFit]) -> list[LogFit]:
-    """Return the likeliest first, and those that are not much less likely."""
-    least = min((one.chi2 for one in fits), default=0.0)
-    return sorted((one for one in fits if one.chi2 <= least + _AS_LIKELY), key=lambda one: one.chi2)
+def _alike(tested: TestedLog, fits: Sequence[LogFit], least: float = np.inf) -> list[LogFit]:
+    """Return the likeliest first, and those that are not much less likely.
+
+    least: deviance of others.
+    """
+    deviances = [_deviance(tested, one) for one in fits]
+    least = min((least, *deviances))
+    order = np.argsort(deviances, kind="stable").tolist()
+    return simplest([fits[k] for k in order if deviances[k] <= least + AS_LIKELY])
 
 
-def promising(test: ChiSquareTest, chi2: float, changes: int) -> bool:
-    """Whether a change may explain a chi-square that is too high: no more is left than noise.
+def _deviance(tested: TestedLog, fit: LogFit) -> float:
+    """Chi-square, and what the odometry's noise adds, of which a correction makes another one.
+
+    That of a car's turns grows with the speed, so that speeds in mm/s are held by nothing.
+    """
+    problem, stated = fit.solved.goodness.problem, tested.solved.goodness.problem
+    return fit.chi2 + len(problem.steps) * (_log_noise(problem) - _log_noise(stated))
+
+
+def _log_noise(problem: SlamProblem) -> float:
+    """Mean logarithm of the determinants of the increments' covariances."""
+    covariances = problem.increment_covariance[problem.steps]
+    return float(np.linalg.slogdet(covariances)[1].mean()) if len(covariances) else 0.0
+
+
+def simplest(fits: Sequence[LogFit]) -> list[LogFit]:
+    """Return fits without what contains another one of them, and none said twice."""
+    keys = {(one.correction.slot, one.correction.change) for one in fits}
+    said: dict[str, LogFit] = {}
+    for one in fits:
+        if not keys.intersection(one.correction.contains):
+            said.setdefault(one.what, one)
+    return list(said.values())
+
+
+def promising(test: ChiSquareTest, chi2: float, changes: int, numbers: int = 1) -> bool:
+    """Whether a correction may explain what leaves the noise: no more is left than noise.
 
     What makes chi-square too low instead, as a scale that shrinks all residuals, explains nothing.
-    test: without the change. chi2: with it. changes: how many were tried.
+    test: without it. chi2: with it. changes: how many were tried. numbers: that it has.
     """
-    if not test.lower <= chi2 <= test.upper < test.chi2:
+    if not test.lower <= chi2 <= min(test.upper, test.chi2):
         return False
-    f = (test.chi2 - chi2) / (chi2 / max(test.dof - 1, 1))
-    return changes * float(fdtrc(1, test.dof - 1, f)) < LEVEL
+    left = max(test.dof - numbers, 1)
+    f = (test.chi2 - chi2) / numbers / (chi2 / left)
+    return changes * float(fdtrc(numbers, left, f)) < LEVEL
 
 
-class _Fit:
-    """Newton's method on chi-square by one number."""
+def _from_there(fit: LogFit) -> LogCorrection:
+    """The correction, whose numbers are sought next to those of a fit."""
+    one = fit.correction
+    if len(fit.numbers) != 1:
+        return one
+    (number,) = fit.numbers
+    nearest = [name for name in one.names if abs(name.number - number) <= 0.5 * abs(name.number)]
+    if one.grid:
+        place = int(np.clip(np.searchsorted(one.grid, number), 1, len(one.grid) - 1))
+        return one._replace(grid=one.grid[max(place - 2, 0) : place + 2])
+    return one._replace(names=tuple(nearest))
 
-    def __init__(self, log: Log, solve: Solve, chi2: float, number: _Number) -> None:
-        self._log, self._solve, self._number = log, solve, number
-        self._at, self._step = number.neutral, number.step
-        self._chi2, self._afresh = chi2, True
-        opposite = self._of(-number.neutral) if number.neutral else np.inf
-        self._afresh = opposite < chi2
-        if self._afresh:
-            self._at, self._chi2 = -number.neutral, opposite
-        if number.grid:
-            self._scan(number.grid)
 
-    @property
-    def log_fit(self) -> LogFit:
-        """The number as it is."""
-        number, at = self._number, self._at
-        solved = self._solve(number.change(self._log, at), self._afresh)
-        return LogFit(number.words.format(at), solved, lambda log: number.change(log, at))
+def _fitted(tested: TestedLog, correction: LogCorrection) -> LogFit | None:
+    """A correction with the numbers that leave least; None where it leaves no less."""
+    if not correction.neutral:
+        solved = tested.with_correction(correction, ())
+        return None if solved is None else LogFit(correction, (), (), solved)
+    neutral, plausible = np.array(correction.neutral), tested.test.reading == "plausible"
+    if plausible:
+        linear = _step(tested, correction, neutral, tested.solved)
+        if linear is not None and linear[2] < _LEAST_PROMISE:
+            return None
+    if correction.grid:
+        return _scanned(tested, correction)
+    fit = _by_newton(tested, correction, neutral, tested.solved)
+    if plausible or (fit is not None and fit.chi2 <= tested.test.upper):
+        return fit
+    starts = [
+        (solved.chi2, name.number, solved)
+        for name in correction.names
+        if (solved := tested.with_correction(correction, (name.number,))) is not None
+    ]
+    if not starts:
+        return fit
+    _, number, solved = min(starts, key=lambda one: one[0])
+    other = _by_newton(tested, correction, np.array((number,)), solved)
+    fits = [one for one in (fit, other) if one is not None]
+    return min(fits, key=lambda one: one.chi2, default=None)
 
-    def refined(self) -> float:
-        """Chi-square at the number that fits best."""
-        for _ in range(_ROUNDS - 1):
-            before = self._chi2
-            self.round()
-            if before - self._chi2 < 1e-3 * before:
+
+def _by_newton(
+    tested: TestedLog, correction: LogCorrection, numbers: Array, solved: SolvedLog
+) -> LogFit | None:
+    """Newton's method from numbers whose optimum is known."""
+    sigmas = np.full(len(numbers), np.nan)
+    for _ in range(_ROUNDS):
+        linear = _step(tested, correction, numbers, solved)
+        if linear is None:
+            return None
+        step, sigmas, promised = linear
+        before = solved.chi2
+        for halving in range(_HALVINGS):
+            trial = numbers + 0.5**halving * step
+            nearer = tested.with_correction(correction, trial.tolist(), solved)
+            if nearer is not None and nearer.chi2 < before:
+                numbers, solved = trial, nearer
                 break
-        return self._chi2
+        gain, excess = before - solved.chi2, before - tested.test.dof
+        if promised < _SETTLED or gain < _SETTLED or gain < _LEAST_GAIN * excess:
+            break
+    return LogFit(correction, tuple(numbers.tolist()), tuple(sigmas.tolist()), solved)
 
-    def round(self) -> float:
-        """Take a step of Newton's, halved until chi-square falls; return chi-square then."""
-        up, down = (self._of(self._at + sign * self._step) for sign in (1.0, -1.0))
-        bend = up - 2.0 * self._chi2 + down
-        if not np.isfinite(bend):
-            return self._chi2
-        slope = 0.5 * (up - down)
-        move = -slope / bend * self._step if bend > 0.0 else -np.sign(slope) * 8.0 * self._step
-        for _ in range(_ROUNDS):
-            chi2 = self._of(self._at + move)
-            if chi2 < self._chi2:
-                self._at, self._chi2 = self._at + move, chi2
-                self._step = min(self._step, 0.25 * abs(move))
-                break
-            move *= 0.5
-        return self._chi2
 
-    def _scan(self, grid: tuple[float, ...]) -> None:
-        """Go to the best number around the best of a grid."""
-        found = [self._of(number) for number in grid]
-        best = int(np.argmin(found))
-        beside = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-        options = {"maxiter": 12, "xatol": self._step / 10.0}
-        fine = minimize_scalar(self._of, bounds=beside, method="bounded", options=options)
-        for at, chi2 in ((grid[best], found[best]), (float(fine.x), float(fine.fun))):
-            if chi2 < self._chi2:
-                self._at, self._chi2 = at, chi2
+def _step(
+    tested: TestedLog, correction: LogCorrection, numbers: Array, solved: SolvedLog
+) -> tuple[Array, Array, float] | None:
+    """Newton's step, the numbers' standard deviations, and what it promises to take off."""
+    goodness = solved.goodness
+    jacobian, right = sparse_system(goodness.graph, goodness.values, goodness.rows)
+    slopes = []
+    for k, size in enumerate(correction.steps):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = numbers.copy()
+            moved[k] += sign * size
+            try:
+                ends.append(
+                    tested.solver.right_hand_side(
+                        correction.correct(tested.log, *moved.tolist()), goodness.values
+                    )
+                )
+            except _FAILURES:
+                return None
+        if len(ends[0]) != len(right) or len(ends[1]) != len(right):
+            return None
+        slopes.append((ends[0] - ends[1]) / (2.0 * size))
+    slope = np.column_stack(slopes)
+    jacobian = scaled_columns(jacobian, column_lengths(jacobian))
+    try:
+        solver = normal_factors(jacobian)
+    except RuntimeError:
+        return None
+    slope = slope - jacobian @ solver.solve(jacobian.T @ slope)
+    information = slope.T @ slope
+    if not np.isfinite(information).all() or np.linalg.cond(information) > 1e14:
+        return None
+    step = -np.linalg.solve(information, slope.T @ right)
+    sigmas = np.sqrt(np.diagonal(np.linalg.inv(information)))
+    return step, sigmas, float(step @ information @ step)
 
-    def _of(self, number: float) -> float:
-        """Chi-square of the smoother with the number; infinite where the log cannot have it."""
-        try:
-            return self._solve(self._number.change(self._log, number), self._afresh).chi2
-        except (InputError, RuntimeError, ValueError):
-            return np.inf
+
+def _scanned(tested: TestedLog, correction: LogCorrection) -> LogFit | None:
+    """The best number around the best of a grid; its interval is where chi-square has risen."""
+
+    def chi2_at(number: float) -> float:
+        solved = tested.with_correction(correction, (number,))
+        return np.inf if solved is None else solved.chi2
+
+    grid = correction.grid
+    coarse = [chi2_at(number) for number in grid]
+    best = int(np.argmin(coarse))
+    number, least, step = grid[best], coarse[best], correction.steps[0]
+    neighbours = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    if correction.change == "lag":
+        samples = np.arange(neighbours[0], neighbours[1] + 1.0).tolist()
+        least, number = min((chi2_at(one), one) for one in samples)
+    else:
+        options = {"maxiter": 14, "xatol": step / 20.0}
+        fine = minimize_scalar(chi2_at, bounds=neighbours, method="bounded", options=options)
+        if float(fine.fun) < least:
+            number, least = float(fine.x), float(fine.fun)
+    solved = tested.with_correction(correction, (number,))
+    if solved is None:
+        return None
+    bend = min(chi2_at(number + step), chi2_at(number - step)) - least
+    sigma = step / np.sqrt(bend) if bend > 0.0 else np.nan
+    return LogFit(correction, (number,), (float(sigma),), solved)
+
+
+def _by_name(tested: TestedLog, fit: LogFit) -> list[LogFit]:
+    """The fit by the name of its number, where one lies within its interval and fits as well.
+
+    Also where one is near a number that does not fit, for far from the log as it is the numbers are
+    not found exactly. A name that may be a calibration is said beside its number.
+    """
+    if len(fit.numbers) != 1 or not fit.correction.names:
+        return [fit]
+    number, wide = fit.numbers[0], _QUANTILE * fit.sigmas[0]
+    name = min(fit.correction.names, key=lambda one: abs(one.number - number))
+    is_factor = fit.correction.change == "times"
+    scale = abs(name.number) if is_factor else 1.0
+    distance = abs(name.number - number)
+    inside = distance <= wide <= _QUANTILE * _WIDEST * scale
+    near = distance <= _WIDEST * scale and not fit.solved.goodness.sound
+    if not (inside or near):
+        return [fit]
+    solved = tested.with_correction(fit.correction, (name.number,))
+    if solved is None or not solved.goodness.sound:
+        return [fit]
+    named = LogFit(fit.correction, (name.number,), fit.sigmas, solved, name)
+    low, high = _CALIBRATIONS
+    certain = not (is_factor and low < name.number < high) or wide <= _SURE * scale
+    return [named] if certain else [named, fit]

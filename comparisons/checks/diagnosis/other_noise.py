@@ -9,7 +9,7 @@ from comparisons.statistics import WORDS
 from graphslam.goodness_of_fit import Goodness, rescaled
 from graphslam.optimum import ChiSquareTest
 from graphslam.smoother import SmootherEvidence
-from graphslam.variance_components import Component, components_of
+from graphslam.variance_components import Component
 
 _MOST_RATIO = 1.5
 """Largest upper end over lower end of the interval of a noise that is named: what is known worse
@@ -54,23 +54,7 @@ def other_noises(result: SmootherEvidence, components: Sequence[Component]) -> l
     return explaining
 
 
-def has_stated_noise(goodness: Goodness, names: Sequence[str]) -> bool:
-    """Whether the residuals tell that some sensors have about the noise that is stated of them.
-
-    names: of components.
-    """
-    components = components_of(goodness.problem, goodness.graph, goodness.values)
-    asked = [one for one in components if one.name in names]
-    return all(_is_certain(one) and _holds(one) for one in asked)
-
-
 def _is_certain(component: Component) -> bool:
     """Whether its noise was found, and surely."""
     low, high = component.interval(WORDS)
     return component.settled and high <= _MOST_RATIO * low
-
-
-def _holds(component: Component) -> bool:
-    """Whether that is the stated one."""
-    low, high = component.interval(WORDS)
-    return low <= 1.0 <= high

@@ -1,0 +1,120 @@
+"""Stated sigmas with which a log fits: by a factor, with its interval, and by what it may be.
+
+A larger noise leaves less chi-square whatever is wrong, so factors are compared by the restricted
+likelihood. Those that have a name, as a variance has, are said if they lie in the factor's
+interval; beside them the factor itself, unless it is known well. `log_doctor` calls this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from comparisons.checks.diagnosis.log_fit import AS_LIKELY, LogFit, TestedLog, simplest
+from comparisons.checks.diagnosis.solved_log import SolvedLog
+from comparisons.faults.of_logs import LogCorrection
+
+_MOST_RATIO = 4.0
+"""Largest upper end over lower end of the interval of a factor: what is known worse takes up any
+misfit."""
+_SURE_RATIO = 1.25
+"""The same, within which a factor that has a name is no chance."""
+_QUANTILE = 3.29
+"""Standard deviations to both ends of an interval of 99.9 %."""
+_LARGEST = 5.0
+"""Natural logarithm of the largest factor."""
+_NEAR = 0.7
+"""Natural logarithm, around a factor of a part of the log."""
+_FIRST_STEP = 0.05
+_CURVATURE_STEP = 0.1
+_RESOLUTION = 0.005
+_BEYOND = 1e3
+"""Deviance above the stated of what has no optimum."""
+
+
+class SigmaFit(NamedTuple):
+    """A fit of sigmas with its deviance."""
+
+    fit: LogFit
+    deviance: float
+
+
+def sigma_fits(tested: TestedLog, corrections: Iterable[LogCorrection]) -> list[LogFit]:
+    """Return the sigmas with which a log fits, the likeliest first.
+
+    Args:
+        tested: Some part of its residuals leaves the stated noise.
+        corrections: Of its sigmas; a factor's first number is where it is sought, from 1 on
+            everywhere.
+
+    Returns:
+        Those that are about as likely as the likeliest, and that leave the stated noise.
+    """
+    stated = tested.solved.deviance
+    fits: list[SigmaFit] = []
+    for correction in corrections:
+        fits += _factor(tested, correction) if correction.neutral else _fixed(tested, correction)
+    fits = [one for one in fits if one.deviance <= stated - AS_LIKELY]
+    least = min((one.deviance for one in fits), default=0.0)
+    likely = [one for one in fits if one.deviance <= least + AS_LIKELY]
+    return simplest([one.fit for one in sorted(likely, key=lambda one: one.deviance)])
+
+
+def _fixed(tested: TestedLog, correction: LogCorrection) -> Iterator[SigmaFit]:
+    solved = tested.with_correction(correction, (), tested.solved)
+    if solved is not None and solved.goodness.sound:
+        yield SigmaFit(LogFit(correction, (), (), solved), solved.deviance)
+
+
+def _factor(tested: TestedLog, correction: LogCorrection) -> Iterator[SigmaFit]:
+    """The factor and its names, as far as they fit."""
+    peak = _likeliest(tested, correction)
+    if peak is None:
+        return
+    logarithm, sigma = peak
+    factor = float(np.exp(logarithm))
+    low, high = (float(np.exp(logarithm + sign * _QUANTILE * sigma)) for sign in (-1.0, 1.0))
+    if low <= 1.0 or high > _MOST_RATIO * low:
+        return
+    for name in correction.names:
+        if low <= name.number <= high and (solved := _sound(tested, correction, name.number)):
+            yield SigmaFit(
+                LogFit(correction, (name.number,), (sigma * name.number,), solved, name),
+                solved.deviance,
+            )
+    named = any(low <= name.number <= high for name in correction.names)
+    if named and high <= _SURE_RATIO * low:
+        return
+    if solved := _sound(tested, correction, factor):
+        fit = LogFit(correction, (factor,), (sigma * factor,), solved)
+        yield SigmaFit(fit, solved.deviance)
+
+
+def _sound(tested: TestedLog, correction: LogCorrection, factor: float) -> SolvedLog | None:
+    """The optimum with a factor, if it has the noise that is stated then."""
+    solved = tested.with_correction(correction, (factor,), tested.solved)
+    return solved if solved is not None and solved.goodness.sound else None
+
+
+def _likeliest(tested: TestedLog, correction: LogCorrection) -> tuple[float, float] | None:
+    """Natural logarithm of the likeliest factor above 1, and its standard deviation."""
+    stated = tested.solved.deviance
+
+    def deviance(logarithm: float) -> float:
+        solved = tested.with_correction(correction, (float(np.exp(logarithm)),), tested.solved)
+        return stated + _BEYOND if solved is None else solved.deviance
+
+    start = float(np.log(correction.neutral[0]))
+    if start == 0.0 and not deviance(_FIRST_STEP) < stated:
+        return None
+    bounds = (start - _NEAR, start + _NEAR) if start > 0.0 else (0.0, _LARGEST)
+    found = minimize_scalar(
+        deviance, bounds=bounds, method="bounded", options={"xatol": _RESOLUTION}
+    )
+    logarithm, least = float(found.x), float(found.fun)
+    bend = deviance(logarithm + _CURVATURE_STEP) + deviance(logarithm - _CURVATURE_STEP)
+    curvature = (bend - 2.0 * least) / _CURVATURE_STEP**2
+    return (logarithm, float(np.sqrt(2.0 / curvature))) if curvature > 0.0 else None
