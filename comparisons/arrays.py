@@ -1,4 +1,4 @@
-"""Array types that the whole harness shares."""
+"""Array types and small matrices that the whole harness shares."""
 
 from __future__ import annotations
 
@@ -25,3 +25,9 @@ def symmetric(upper: Array) -> Array:
 def upper_triangles(full: Array) -> Array:
     """(N, 3) or (N, 6) upper triangles by rows of (N, 2, 2) or (N, 3, 3)."""
     return full[:, *np.triu_indices(full.shape[-1])]
+
+
+def rotations(angle: Array) -> Array:
+    """Return matrices (N, 2, 2) that turn vectors by angles (N,) [rad]."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)

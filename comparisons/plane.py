@@ -21,12 +21,6 @@ def turned(place: Array, by: Array | float) -> Array:
     return np.column_stack((cos * x - sin * y, sin * x + cos * y))
 
 
-def rotations(angle: Array) -> Array:
-    """Return matrices (N, 2, 2) that turn vectors by angles (N,) [rad]."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
-
-
 def in_own_axes(departed: Array, arrived: Array) -> Array:
     """Return moves (N, 3) ahead, left and turned, between poses (N, 3)."""
     apart = arrived - departed

@@ -8,6 +8,7 @@ at each event, tells which change promises most; these are tried by the likeliho
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -400,7 +401,9 @@ def _promises(
             toward = float(slope[0]) / information
             information *= group.stride
             numbers = tuple(start + toward for start in composition.start)
-            gained = (0.5 * toward**2 if numbers else toward - 0.5) * information
+            gained = (0.5 * toward * toward if numbers else toward - 0.5) * information
+            if not math.isfinite(gained):  # of numbers that overflow
+                continue
             words = composition.said(*composition.start)
             slot = JacobianSlot(group.kind.matrix, group.kind.of, words, moves_estimate)
             yield _Promise(

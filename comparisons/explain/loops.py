@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.arrays import Array, Index
+from comparisons.arrays import Array, Index, rotations
 from comparisons.faults.edges import (
     LANDMARKS,
     POSITIONS,
@@ -17,7 +17,7 @@ from comparisons.faults.edges import (
     columns,
     inverse,
 )
-from comparisons.plane import in_own_axes, rotations, turned
+from comparisons.plane import in_own_axes, turned
 from graphslam.increments import dead_reckoned, inverse_adjoint
 from graphslam.problem import SlamProblem
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.arrays import Array, Index
-from comparisons.plane import in_own_axes, rotations, turned
+from comparisons.arrays import Array, Index, rotations
+from comparisons.plane import in_own_axes, turned
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
 from graphslam.sensor_frame import in_words

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.arrays import Array, Index
-from comparisons.plane import rotations
+from comparisons.arrays import Array, Index, rotations
 
 Mask = NDArray[np.bool_]
 Text = str | Callable[..., str]
