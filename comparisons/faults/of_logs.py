@@ -747,7 +747,7 @@ def sigmas_of(log: Log) -> Iterator[LogSigma]:
                 name, f"{name}s", name, f"--sigma-{name}", getattr(seen, field),
                 partial(_scaled_measurements, field=field), name == "bearing",
             )  # fmt: skip
-    if log.positions is not None:
+    if log.positions is not None and len(log.positions.time_s):
         yield LogSigma(
             "positions", "positions", "position", "--sigma-position",
             np.sqrt(log.positions.covariance[:, 0, 0]), _scaled_positions,
