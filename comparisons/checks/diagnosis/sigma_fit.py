@@ -16,6 +16,8 @@ from scipy.optimize import minimize_scalar
 from comparisons.checks.diagnosis.log_fit import AS_LIKELY, LogFit, TestedLog, simplest
 from comparisons.checks.diagnosis.solved_log import SolvedLog
 from comparisons.faults.of_logs import LogCorrection
+from comparisons.plane import in_own_axes
+from graphslam.graph_builder import from_values
 
 _MOST_RATIO = 4.0
 """Largest upper end over lower end of the interval of a factor: what is known worse takes up any
@@ -28,6 +30,10 @@ _LARGEST = 5.0
 """Natural logarithm of the largest factor."""
 _NEAR = 0.7
 """Natural logarithm, around a factor of a part of the log."""
+_MOST_ALONG, _ALL = 5.0, 1.0 - 1e-12
+"""Standard deviations of a chance correlation, beyond which residuals are no noise (by Fisher's
+transformation); and a correlation that is one.
+"""
 _FIRST_STEP = 0.05
 _CURVATURE_STEP = 0.1
 _RESOLUTION = 0.005
@@ -94,9 +100,26 @@ def _factor(tested: TestedLog, correction: LogCorrection) -> Iterator[SigmaFit]:
 
 
 def _sound(tested: TestedLog, correction: LogCorrection, factor: float) -> SolvedLog | None:
-    """The optimum with a factor, if it has the noise that is stated then."""
+    """The optimum with a factor, if it has the noise that is stated then, and that is noise."""
     solved = tested.with_correction(correction, (factor,), tested.solved)
-    return solved if solved is not None and solved.goodness.sound else None
+    if solved is None or not solved.goodness.sound:
+        return None
+    return None if "odometry" in correction.sensors and _goes_with_motion(solved) else solved
+
+
+def _goes_with_motion(solved: SolvedLog) -> bool:
+    """Whether the odometry's residuals go with the smoothed motions, as no noise of theirs does.
+
+    Residuals and estimates of least squares are uncorrelated where all is as stated.
+    """
+    problem, values = solved.goodness.problem, solved.goodness.values
+    poses, steps = from_values(values, problem)[0], problem.steps
+    moved = in_own_axes(poses[steps], poses[steps + 1])
+    off = problem.increment[steps] - moved
+    size = np.linalg.norm(moved, axis=0) * np.linalg.norm(off, axis=0)
+    share = (moved * off).sum(axis=0) / np.maximum(size, 1e-300)
+    deviations = np.arctanh(np.clip(share, -_ALL, _ALL)) * np.sqrt(max(len(steps) - 3, 0))
+    return bool((np.abs(deviations) > _MOST_ALONG).any())
 
 
 def _likeliest(tested: TestedLog, correction: LogCorrection) -> tuple[float, float] | None:
