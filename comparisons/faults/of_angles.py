@@ -64,8 +64,8 @@ def angle_mean(event: Update, replay: Remembering) -> AngleMean | None:
     matrices = replay.matrices(event)
     across = matrices["P"] @ matrices["H"].T
     sound = matrices["H"] @ across + matrices["R"]
-    spread, _, rank, _ = np.linalg.lstsq(gain, across)
-    if rank < len(spread) or not _alike(gain @ spread, across):
+    spread: Array = np.asarray(np.linalg.lstsq(gain, across)[0], dtype=np.float64)
+    if not _alike(gain @ spread, across):
         return None
     more = spread - sound
     component = int(np.argmax(np.abs(np.diag(more))))
