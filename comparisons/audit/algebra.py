@@ -25,6 +25,7 @@ from comparisons.audit.replay import (
     check_gain,
 )
 from comparisons.explain.events import MOST_REPLAYED, EventCause, KnownFault, localise
+from comparisons.faults.of_angles import told_gain
 from comparisons.faults.of_corrections import name_correction, name_gain
 from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import continued
@@ -737,7 +738,12 @@ class AlgebraCheck:
             self._open.pop(number, None)
             self.optimal = False
         elif cause.known is not None and cause.known.fault.with_gain:
-            kept = [one for one in self._pending if one[0].fault or one[0].event != number]
+            told = self._open.pop(number, None) is not None  # by the correction, which is right
+            kept = [
+                one
+                for one in self._pending
+                if one[0].event != number or (one[0].fault and not told)
+            ]
             self.optimal = self.optimal and len(kept) == len(self._pending)
             self._pending = kept
 
@@ -782,9 +788,8 @@ class AlgebraCheck:
 def _implied(event: Event) -> Event:
     """An update with the gain that its correction tells, or else with Kalman's."""
     assert isinstance(event, Update)  # noqa: S101 - of updates alone
-    if len(event.residual) == 1 and event.residual[0] and event.correction is not None:
-        return event._replace(gain=event.correction[:, None] / event.residual[0])
-    return event._replace(gain=None, correction=None)
+    gain = told_gain(event)
+    return event._replace(gain=gain, correction=None if gain is None else event.correction)
 
 
 def _beyond(event: Update, fused: Fused) -> Array:

@@ -24,6 +24,7 @@ from comparisons.faults.grammar import (
     Text,
     Values,
 )
+from comparisons.faults.of_angles import angle_mean, by_angle_mean
 from comparisons.faults.operands import (
     Operand,
     event_name,
@@ -80,6 +81,7 @@ class EventFault:
         sound: It is none, but a choice that is consistent.
         with_gain: It is the gain's as well.
         whole: It is of whole matrices, wherever they stand, and not too rare to be in all events.
+        called: What it is in all events, where its words have figures of one.
     """
 
     words: Text
@@ -91,6 +93,7 @@ class EventFault:
     sound: bool = False
     with_gain: bool = False
     whole: bool = True
+    called: str = ""
 
     @property
     def substitution(self) -> Substitution | None:
@@ -133,7 +136,7 @@ class EventFault:
     @property
     def kind(self) -> str:
         """What it is, whatever its number."""
-        return self.said(*self.start)
+        return self.called or self.said(*self.start)
 
 
 LEVELS = range(7)
@@ -172,11 +175,19 @@ def _of_rejected(event: Update, every: EventFaults) -> Iterator[EventFault]:
 
 def _with_another_gain(event: Update, every: EventFaults) -> Iterator[EventFault]:
     """Of what a recorded gain is that is not Kalman's, and forms that hold for Kalman's alone."""
+    yield from _of_angles(event, every)
     yield from every.with_gain(event.gain)
     for form in [form for form in FORMS if form not in FOR_ANY_GAIN]:
         text = written(recipe_of(event, form)[AFTER])
         words = f"the covariance is {text}, which holds for Kalman's gain alone"
         yield EventFault(words, event.blocks, Substitution(form, with_recorded=True), 0)
+
+
+def _of_angles(event: Update, every: EventFaults) -> Iterator[EventFault]:
+    mean = angle_mean(event, every.replay)
+    if mean is not None:
+        of = every.whole_blocks()
+        yield EventFault(mean.words, of, by_angle_mean, -1, with_gain=True, called="angle mean")
 
 
 def corrects_otherwise(event: Update, replay: Remembering) -> bool:
@@ -219,6 +230,7 @@ def _of_correction(event: Update, every: EventFaults) -> Iterator[EventFault]:
     if not event.correction.any():
         what = "the covariance was not updated"
         yield EventFault(what, event.blocks, skipped, _WHOLE, sound=True)
+    yield from _of_angles(event, every)
     for fault, gain in every.other_gains():
         if not _corrects(event, gain):
             continue
@@ -614,16 +626,17 @@ class EventFaults:
         """The blocks of the state that a change is of."""
         event: Any = self.event
         if composition is None or composition.mask is None or is_whole(composition):
-            return self._whole_blocks()
+            return self.whole_blocks()
         slot, mask = composition.slot, composition.mask
         names = [slot.rows[i] for i in np.flatnonzero(mask.any(axis=1))]
         names += [slot.columns[i] for i in np.flatnonzero(mask.any(axis=0))]
         known = [name.partition("[")[0] for name in names]
         dims = self.replay.layout.dims
         blocks = tuple(dict.fromkeys(b for b in known if b in dims or b == event_name(event)))
-        return blocks or self._whole_blocks()
+        return blocks or self.whole_blocks()
 
-    def _whole_blocks(self) -> Blocks:
+    def whole_blocks(self) -> Blocks:
+        """Return the blocks that the whole event is of."""
         event: Any = self.event
         if isinstance(event, Clone):
             return (event.name, event.source)
