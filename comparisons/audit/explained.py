@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import NamedTuple
 
 from comparisons.audit.consistency import departures, step_innovations
 from comparisons.explain.jacobians import JacobianChange, JacobianSlot, with_jacobians
-from comparisons.explain.likeliest import AnySlot, Fitted, InnovationCause, likeliest_cause
+from comparisons.explain.likeliest import (
+    AnySlot,
+    Fitted,
+    InnovationCause,
+    beside_others,
+    likeliest_cause,
+)
 from comparisons.explain.noises import Factors, NoiseFactor, NoiseSlot, readings, with_noises
 from comparisons.explain.offsets import Offset, without_offsets
 from comparisons.explain.recorded_steps import RecordedStep, steps_of
@@ -94,6 +100,7 @@ def explained_innovations(
         still_off = bool(left)
     if not causes:
         return None
+    causes = _refitted(causes, steps)
     what = " and ".join(_said(one, steps, sensors) for one in causes)
     apart = _are_apart(causes)
     if apart:
@@ -106,6 +113,20 @@ def explained_innovations(
         what = f"residuals are likelier with {what}, though no figure of theirs leaves its band"
     name = _words(causes[0].slot, sensors)
     return ExplainedInnovations(what, name, not (left or apart), tuple(causes))
+
+
+def _refitted(
+    causes: Sequence[InnovationCause], steps: Sequence[RecordedStep]
+) -> list[InnovationCause]:
+    """The causes, each number and interval as it is beside the others."""
+    if len(causes) < 2:
+        return list(causes)
+    refitted = list[InnovationCause]()
+    for k, cause in enumerate(causes):
+        others = [one for j, one in enumerate(causes) if j != k]
+        before = list(_without_noises(others, steps))
+        refitted.append(beside_others(cause, before, _factors(others)))
+    return refitted
 
 
 def _are_apart(causes: Iterable[InnovationCause]) -> bool:
@@ -173,9 +194,8 @@ def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) ->
     if isinstance(fitted, NoiseFactor):
         text = f"{words} {fitted.factor:.3g} times the stated one"
         return text, f"{fitted.low:.3g} to {fitted.high:.3g}"
-    low, high = fitted.value - 1.96 * fitted.sigma, fitted.value + 1.96 * fitted.sigma
     unit = ""
     if fitted.slot.is_predicted:
         timed = all(e.time_s is not None for e, *_ in steps if isinstance(e, Predict))
         unit = " per second" if timed else " each time"
-    return f"a constant {fitted.value:+.3g}{unit} in {words}", f"{low:.3g} to {high:.3g}"
+    return fitted.said(words, unit)

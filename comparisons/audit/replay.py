@@ -78,6 +78,11 @@ class BlockLayout:
         """Return the entries of one block."""
         return slice(self.start[name], self.start[name] + self.dims[name])
 
+    def parts(self, blocks: Blocks, values: Array) -> dict[str, Array]:
+        """Return by block what (k, ...) values of some blocks are, one after the other."""
+        ends = np.cumsum([self.dims[name] for name in blocks])
+        return dict(zip(blocks, np.split(values, ends[:-1]), strict=True))
+
     def holder(self, row: int) -> str:
         """Return the block of an entry."""
         return next(name for name, first in reversed(self.start.items()) if first <= row)

@@ -129,8 +129,8 @@ EXPLANATIONS: dict[str, Explanation] = {
     "fault": Explanation(
         "A known fault reproduces the estimate",
         "The reference EKF with this fault ends at the same poses, landmarks and covariances, to "
-        "rounding where the evidence says that the estimate equals it. It was run with each fault "
-        "of a catalogue, with each way to integrate a step.",
+        "rounding. It was run with each change of each slot, of data, events' times, models and "
+        "algebra.",
         "Correct the named fault first. Other causes that stand behind it follow from it, or show "
         "where it lies.",
         decides="grade",

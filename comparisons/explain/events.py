@@ -15,6 +15,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.audit.replay import apart, largest_pair
+from comparisons.faults.formulas import alike
 from comparisons.faults.of_events import (
     LEVELS,
     NUMBERED_LEVELS,
@@ -22,7 +23,6 @@ from comparisons.faults.of_events import (
     EventFaults,
     adapted,
     afters,
-    alike,
 )
 from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import Substitution, continued

@@ -19,7 +19,16 @@ from comparisons.arrays import Array
 from comparisons.audit.replay import BlockLayout, Columns
 from comparisons.explain.noises import Factors, log_likelihoods
 from comparisons.explain.recorded_steps import RecordedStep
-from comparisons.faults.grammar import Composition, Part, Slot, Values, parts, single_changes
+from comparisons.faults.grammar import (
+    Composition,
+    Part,
+    Slot,
+    Values,
+    parts,
+    plus_number,
+    single_changes,
+    times_number,
+)
 from comparisons.faults.operands import Operand, slot_of
 from comparisons.innovations import NO_SENSOR
 from comparisons.trace.events import Event, Predict, SensorDescription, TracePrior, Update
@@ -420,12 +429,12 @@ def _changes(operand: Operand, sound: Array) -> Iterator[tuple[Composition, Arra
             yield composition, direction
     for part in parts(slot):
         said = f"{part.words} is {{0:.4g}} times the filter's"
-        yield Composition(slot, "times", said, _times(part), (1.0,)), sound * part.mask
+        yield Composition(slot, "times", said, times_number(part.mask), (1.0,)), sound * part.mask
     single = [part for part in parts(slot) if np.count_nonzero(part.mask) == 1]
     for part in (*single, *_diagonals(slot)):
         said = f"{part.words} is the filter's {{0:+.4g}}"
         direction = np.broadcast_to(part.mask.astype(float), sound.shape)
-        yield Composition(slot, "plus", said, _plus(part), (0.0,)), direction
+        yield Composition(slot, "plus", said, plus_number(part.mask), (0.0,)), direction
 
 
 def _diagonals(slot: Slot) -> Iterator[Part]:
@@ -436,14 +445,6 @@ def _diagonals(slot: Slot) -> Iterator[Part]:
                 mask = np.zeros(slot.shape, dtype=bool)
                 mask[rows, columns] = True
                 yield Part(f"the diagonal of {of} by {by} in {slot.name}", mask)
-
-
-def _times(part: Part) -> Callable[[Values, float], Array]:
-    return lambda values, factor: np.where(part.mask, factor * values.sound, values.sound)
-
-
-def _plus(part: Part) -> Callable[[Values, float], Array]:
-    return lambda values, more: values.sound + more * part.mask
 
 
 def _fitted(

@@ -113,6 +113,24 @@ def likeliest_cause(
     return InnovationCause(best.fitted, best.p_value, tuple(reversed(others.values())), best.begun)
 
 
+def beside_others(
+    cause: InnovationCause, steps: Sequence[RecordedStep], factors: Factors
+) -> InnovationCause:
+    """Return a cause with its number as it is beside others; of all events where that is as likely.
+
+    steps, factors: with all other causes taken in. A Jacobian stays as it is.
+    """
+    if isinstance(cause.fitted, JacobianChange):
+        return cause
+    slot = cause.fitted.slot
+    of_all = slot._replace(since=0)
+    fitted = {one.slot: one for one in _fitted(steps, list({slot, of_all}), factors)}
+    here, whole = fitted.get(slot), fitted.get(of_all)
+    if whole is not None and (here is None or whole.gained >= here.gained - LATER):
+        return cause._replace(fitted=whole, begun=(0, 0))
+    return cause if here is None else cause._replace(fitted=here)
+
+
 def _is_alike(one: _Candidate, best: _Candidate) -> bool:
     """Whether a cause is as likely as the best, with or without what it must gain more."""
     least, least_gained = best.rank - _NOT_TOLD_APART, best.fitted.gained - _NOT_TOLD_APART

@@ -146,22 +146,16 @@ def _stated(slot: NoiseSlot, steps: Sequence[RecordedStep]) -> Iterator[Array]:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
                 if slot.matrix == "P0":
-                    yield _by_block(event.blocks, layout.dims, event.covariance)[slot.of]
+                    yield layout.parts(event.blocks, event.covariance.diagonal())[slot.of]
             case Predict():
                 if slot.touches(event):
-                    yield _by_block(event.blocks, layout.dims, event.noise)[slot.of]
+                    yield layout.parts(event.blocks, event.noise.diagonal())[slot.of]
             case Update():
                 if slot.touches(event):
                     component = slot.component if slot.component >= 0 else slice(None)
                     yield np.atleast_1d(event.noise.diagonal()[component])
             case _:
                 layout.follow(event)
-
-
-def _by_block(blocks: Blocks, dims: Mapping[str, int], noise: Array) -> dict[str, Array]:
-    """The variances of each block."""
-    parts = np.split(noise.diagonal(), np.cumsum([dims[name] for name in blocks])[:-1])
-    return dict(zip(blocks, parts, strict=True))
 
 
 def fitted_noises(
@@ -209,9 +203,9 @@ def noise_slots(steps: Sequence[RecordedStep]) -> list[NoiseSlot]:
         match event:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)
-                slots |= _not_zero("P0", event.blocks, layout.dims, event.covariance)
+                slots |= _not_zero("P0", layout.parts(event.blocks, event.covariance.diagonal()))
             case Predict():
-                slots |= _not_zero("Q", event.blocks, layout.dims, event.noise)
+                slots |= _not_zero("Q", layout.parts(event.blocks, event.noise.diagonal()))
             case Update():
                 widths.setdefault(event.sensor, set()).add(len(event.residual))
             case _:
@@ -223,11 +217,8 @@ def noise_slots(steps: Sequence[RecordedStep]) -> list[NoiseSlot]:
     return list(slots)[:_MOST_SLOTS]
 
 
-def _not_zero(
-    matrix: str, blocks: Blocks, dims: Mapping[str, int], noise: Array
-) -> dict[NoiseSlot, None]:
+def _not_zero(matrix: str, variances: Mapping[str, Array]) -> dict[NoiseSlot, None]:
     """Those of blocks whose noise is not zero."""
-    variances = _by_block(blocks, dims, noise)
     return {NoiseSlot(matrix, block): None for block, part in variances.items() if part.any()}
 
 

@@ -17,7 +17,7 @@ from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Columns, Fused, Replay, square
 from comparisons.explain.jacobians import JacobianGradient
 from comparisons.explain.noises import Factors, NoiseSlot, with_noises
-from comparisons.explain.offsets import OffsetSlot, interval_s
+from comparisons.explain.offsets import CONSTANT, OffsetSlot, regressors
 from comparisons.explain.recorded_steps import RecordedStep, apply_step
 from comparisons.trace.events import (
     Augment,
@@ -63,7 +63,8 @@ class _Passed(NamedTuple):
     """An event as the recursion went through it.
 
     size: of the state before. at: entries (k,) of the blocks that it reads, or removes. dims:
-    theirs. mean, across: (k,) and (k, n) before it, where its Jacobian's derivative is asked for.
+    theirs. interval_s, moved: as of a recorded step. mean, across: (k,) and (k, n) before it, where
+    its Jacobian's derivative is asked for.
     """
 
     event: Event
@@ -72,6 +73,7 @@ class _Passed(NamedTuple):
     dims: tuple[int, ...]
     fused: Fused | None = None
     interval_s: float = 1.0
+    moved: Array | None = None
     mean: Array | None = None
     across: Array | None = None
 
@@ -107,7 +109,6 @@ def _forwards(
     """Kalman's recursion with other noises, beside the filter's corrections; the state's size."""
     passed: list[_Passed] = []
     replay: Replay
-    last_s: float | None = None
     for step in with_noises(steps, factors):
         event = step.event
         match event:
@@ -126,16 +127,23 @@ def _forwards(
                 continue
         layout = replay.layout
         dims = tuple(layout.dims[name] for name in blocks)
-        one = _Passed(event, layout.size, layout.columns(blocks), dims)
+        one = _Passed(
+            event, layout.size, layout.columns(blocks), dims, None, step.interval_s, step.moved
+        )
         if event.number in with_gradients:
             before = replay.mean[one.at].copy(), replay.covariance[one.at].copy()
             one = one._replace(mean=before[0], across=before[1])
         one = one._replace(fused=apply_step(replay, step._replace(event=event)))
-        if isinstance(event, Predict):
-            one = one._replace(interval_s=interval_s(last_s, event.time_s))
-            last_s = event.time_s
         passed.append(one)
     return passed, replay.layout.size
+
+
+class _OffsetRows(NamedTuple):
+    """Constants of blocks or of a sensor: their rows and kinds (S,), which entries (S, k)."""
+
+    rows: Index
+    kinds: Index
+    shares: Array
 
 
 class LikelihoodSlopes:
@@ -162,7 +170,8 @@ class LikelihoodSlopes:
         self.rng = np.random.default_rng(0)
         self.gradients: dict[int, JacobianGradient] = {}
         self.r, self.n = np.zeros((size, 1 + _DRAWS)), np.zeros((size, size))
-        self._known_rows: dict[tuple[str, Blocks, tuple[int, ...]], tuple[Index, Index]] = {}
+        self._noise_rows: dict[tuple[str, Blocks, int], Index] = {}
+        self._offset_rows: dict[tuple[Blocks, tuple[int, ...], bool], _OffsetRows] = {}
 
     def take(self, passed: _Passed) -> None:
         """Go back over an event."""
@@ -172,8 +181,7 @@ class LikelihoodSlopes:
                 self._add_noise("P0", event.blocks, event.covariance, passed)
             case Predict():
                 self._add_noise("Q", event.blocks, event.noise, passed)
-                _, entries = self._rows("Q", event.blocks, passed.dims)
-                self._add(entries, passed.interval_s * self.r[at])
+                self._add_offsets(event.blocks, passed, self.r[at])
                 spread = self.n[at].copy()
                 spread[:, at] = spread[:, at] @ event.jacobian
                 after = self.r[at].copy()
@@ -234,9 +242,12 @@ class LikelihoodSlopes:
         spread = self.n @ gain
         u = root.T @ np.column_stack((fused.whitened, drawn)) - gain.T @ self.r
         d = root.T @ root + gain.T @ spread
-        noises, entries = self._rows(event.sensor, (), (len(u),))
-        for rows, values in ((noises, _noise_shares(event.noise, u, d)), (entries, u)):
-            self._add(rows, np.vstack((values.sum(axis=0, keepdims=True), values)))
+        values = _noise_shares(event.noise, u, d)
+        self._add(
+            self._of_noises(event.sensor, (), len(u)),
+            np.vstack((values.sum(axis=0, keepdims=True), values)),
+        )
+        self._add_offsets((event.sensor,), passed, u)
         self.r[at] += h.T @ u
         across = spread @ h
         self.n[:, at] -= across
@@ -250,30 +261,51 @@ class LikelihoodSlopes:
     def _add_noise(self, matrix: str, blocks: Blocks, noise: Array, passed: _Passed) -> None:
         """Add what a noise of the state gains, by block."""
         at, dims = passed.at, passed.dims
-        rows, _ = self._rows(matrix, blocks, dims)
+        rows = self._of_noises(matrix, blocks, 0)
         shares = _noise_shares(noise, self.r[at], self.n[square(at)])
         self._add(rows, np.add.reduceat(shares, np.cumsum((0, *dims[:-1])), axis=0))
+
+    def _add_offsets(self, of: Blocks, passed: _Passed, values: Array) -> None:
+        """Add what constants gain. of: blocks or a sensor; values: derivatives by their entries."""
+        is_predicted = isinstance(passed.event, Predict)
+        key = of, passed.dims if is_predicted else (len(values),), is_predicted
+        if key not in self._offset_rows:
+            self._offset_rows[key] = self._of_offsets(*key)
+        rows, kinds, shares = self._offset_rows[key]
+        there = (kinds == CONSTANT) | (passed.moved is not None)
+        by_kind = regressors(passed.interval_s, passed.moved, len(values))
+        self._add(rows[there], (shares * by_kind[kinds])[there] @ values)
+
+    def _of_offsets(self, of: Blocks, dims: tuple[int, ...], is_predicted: bool) -> _OffsetRows:
+        """Those of blocks or of a sensor."""
+        rows, kinds, shares = list[int](), list[int](), list[Array]()
+        first = 0
+        for name, size in zip(of, dims, strict=True):
+            for slot, row in self.row.items():
+                if not isinstance(slot, OffsetSlot) or slot.of != name:
+                    continue
+                share = slot.share(size)
+                if slot.is_predicted == is_predicted and share.any():
+                    rows.append(row)
+                    kinds.append(slot.kind)
+                    shares.append(np.zeros(sum(dims)))
+                    shares[-1][first : first + size] = share
+            first += size
+        every = np.array(rows, dtype=np.intp), np.array(kinds, dtype=np.intp)
+        return _OffsetRows(*every, np.reshape(shares, (-1, sum(dims))))
 
     def _add(self, rows: Index, values: Array) -> None:
         self.total[rows] += values
         self.count[rows] += 1
 
-    def _rows(self, of: str, blocks: Blocks, dims: tuple[int, ...]) -> tuple[Index, Index]:
-        """Rows of noises and of constants: P0's or Q's, of blocks; or a sensor's, all and each."""
-        key = of, blocks, dims
-        if key not in self._known_rows:
-            noises: list[Slot]
-            constants: list[Slot]
-            if blocks:
-                noises = [NoiseSlot(of, name) for name in blocks]
-                pairs = zip(blocks, dims, strict=True)
-                constants = [OffsetSlot(name, k, True) for name, dim in pairs for k in range(dim)]
-            else:
-                every = range(-1, dims[0])
-                noises = [NoiseSlot("R", of, k) for k in every]
-                constants = [OffsetSlot(of, 0 if dims == (1,) else k, False) for k in every]
-            self._known_rows[key] = self._index(noises), self._index(constants)
-        return self._known_rows[key]
+    def _of_noises(self, of: str, blocks: Blocks, size: int) -> Index:
+        """Rows of P0's or Q's noises, of blocks; or of a sensor's of some size, all and each."""
+        key = of, blocks, size
+        if key not in self._noise_rows:
+            noises = [NoiseSlot(of, name) for name in blocks]
+            noises = noises or [NoiseSlot("R", of, k) for k in range(-1, size)]
+            self._noise_rows[key] = self._index(noises)
+        return self._noise_rows[key]
 
     def _index(self, slots: Sequence[Slot]) -> Index:
         """Rows of some slots, once each; the last one for what is none."""

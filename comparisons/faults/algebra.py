@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.faults.fault import Fault, Plant, StateChange, after, keeping
+from comparisons.faults.planted_algebra import Entries, between_landmarks
 from ekf_reference.core.geometry import Index
-from ekf_reference.core.landmark_types import LandmarkKind, NewLandmarks
-from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import Correction, KalmanState
 
 
@@ -34,34 +32,8 @@ def _lower_as_before(done: StateChange, *_: Any) -> None:
     done.p[3:, :3] = done.before[3:, :3]
 
 
-def _between_landmarks(layout: Layout) -> NDArray[np.bool_]:
-    """(n, n) where entries of one landmark meet those of another."""
-    owner = np.zeros(layout.size, dtype=np.intp)
-    for kind, first in layout.first.items():
-        for at in first[first >= 0].tolist():
-            owner[at : at + kind.width] = at
-    found: NDArray[np.bool_] = (owner[:, None] != owner) & (owner[:, None] > 0) & (owner > 0)
-    return found
-
-
 def _independent_landmarks(done: StateChange, *_: Any) -> None:
-    done.p[_between_landmarks(done.layout)] = 0.0
-
-
-def new_landmarks_apart(variance: float | None = None) -> Plant:
-    """New landmarks know neither the vehicle nor the map nor each other.
-
-    variance: [m^2] that they have instead of their own.
-    """
-
-    def forget(done: StateChange, new: NewLandmarks, noise: Array, kind: LandmarkKind) -> None:
-        p, n = done.p, len(done.before)
-        if variance is not None:
-            p[n:, n:] = variance * np.eye(len(p) - n)
-        p[n:, n:][_between_landmarks(done.layout)[n:, n:]] = 0.0
-        p[:n, n:] = p[n:, :n] = 0.0
-
-    return after("augment", forget)
+    done.p[between_landmarks(Entries.of(done.layout))] = 0.0
 
 
 def _gain(p: Array, columns: Index, jacobian: Array, noise: Array) -> tuple[Array, Array]:

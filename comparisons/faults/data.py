@@ -20,7 +20,8 @@ from ekf_reference.models.motion import MotionStep
 _GATE_SIGMA = 2.0
 
 
-def _previous_interval() -> Plant:
+def previous_interval() -> Plant:
+    """A step lasts as long as the one before it."""
     last_s: list[float] = []
 
     def step(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
@@ -31,38 +32,42 @@ def _previous_interval() -> Plant:
     return moving(step)
 
 
-def _applied_twice(own: Any, pose: Array, *args: Any) -> MotionStep:
+def applied_twice(own: Any, pose: Array, *args: Any) -> MotionStep:
+    """A control moves the vehicle two times."""
     one: MotionStep = own(pose, *args)
     two: MotionStep = own(one.pose, *args)
     by_control = two.jacobian_pose @ one.jacobian_control + two.jacobian_control
     return MotionStep(two.pose, two.jacobian_pose @ one.jacobian_pose, by_control)
 
 
-def _one_scan_late() -> Plant:
+def scans_late(count: int) -> Plant:
+    """Each scan is fused so many scans later, at the time of that one."""
     waiting: list[tuple[Any, ...]] = []
 
     def observe(own: Any, *seen: Any) -> Index:
-        due = waiting.copy()
-        waiting[:] = [seen]
-        for one in due:
-            own(*one)
+        waiting.append(seen)
+        if len(waiting) > count:
+            own(*waiting.pop(0))
         return np.full(len(seen[0]), REJECTED)
 
     return stepping(observe=observe)
 
 
-def _one_step_late() -> Plant:
-    waiting: list[tuple[Any, ...]] = []
+def predictions_late(count: int) -> Plant:
+    """Each scan is fused after so many more predictions."""
+    waiting: list[tuple[int, Any, tuple[Any, ...]]] = []
 
     def observe(own: Any, *seen: Any) -> Index:
-        waiting[:] = [(own, *seen)]
+        waiting.append((count, own, seen))
         return np.full(len(seen[0]), REJECTED)
 
     def predict(own: Any, *args: Any) -> None:
         own(*args)
-        for observed, *seen in waiting:
-            observed(*seen)
-        waiting.clear()
+        due = [(left - 1, observed, seen) for left, observed, seen in waiting]
+        waiting[:] = [one for one in due if one[0] > 0]
+        for left, observed, seen in due:
+            if left <= 0:
+                observed(*seen)
 
     return stepping(observe=observe, predict=predict)
 
@@ -73,11 +78,17 @@ def _fixed_twice(own: Any, *args: Array) -> bool:
     return bool(own(*args) and used)
 
 
-def _seen_twice(own: Any, *seen: Any) -> Index:
-    landmark_indices: Index = own(*seen)
-    own.__self__.take_numbers(POINT.name, -len(landmark_indices))
-    own(*seen)
-    return landmark_indices
+def seen_times(count: int) -> Plant:
+    """Every scan is used so many times."""
+
+    def observe(own: Any, *seen: Any) -> Index:
+        landmark_indices: Index = own(*seen)
+        for _ in range(count - 1):
+            own.__self__.take_numbers(POINT.name, -len(landmark_indices))
+            own(*seen)
+        return landmark_indices
+
+    return stepping(observe=observe)
 
 
 @dataclass
@@ -117,7 +128,7 @@ class _SwappedLabels(KnownAssociation):
         return found
 
 
-def _by_labels(rule: type[KnownAssociation], **settings: Any) -> Plant:
+def by_labels(rule: type[KnownAssociation], **settings: Any) -> Plant:
     """Another rule by labels; that of surveyed landmarks stays."""
 
     def plant(ekf: Ekf) -> None:
@@ -147,14 +158,14 @@ def waiting_for_control() -> Plant:
 
 FAULTS = {
     "previous interval": Fault(
-        "a step lasts as long as the one before it", remembering(_previous_interval)
+        "a step lasts as long as the one before it", remembering(previous_interval)
     ),
     "interval ignored": Fault(
         "every step lasts 25 ms, whatever the stamps say",
         moving(lambda own, pose, control, duration_s: own(pose, control, 0.025)),
     ),
     "control applied twice": Fault(
-        "every control moves the vehicle two times", moving(_applied_twice)
+        "every control moves the vehicle two times", moving(applied_twice)
     ),
     "control applied half": Fault(
         "every control acts for half of its interval",
@@ -162,27 +173,25 @@ FAULTS = {
     ),
     "measurement one scan late": Fault(
         "the measurements are fused one scan late, at the time of the next",
-        remembering(_one_scan_late),
+        remembering(lambda: scans_late(1)),
     ),
     "measurement one step late": Fault(
-        "the measurements are fused one prediction late", remembering(_one_step_late)
+        "the measurements are fused one prediction late", remembering(lambda: predictions_late(1))
     ),
     "position fused twice": Fault(
         "every absolute position is used two times", stepping(fix_position=_fixed_twice)
     ),
-    "measurement fused twice": Fault(
-        "every measurement is used two times", stepping(observe=_seen_twice)
-    ),
+    "measurement fused twice": Fault("every measurement is used two times", seen_times(2)),
     "landmark initialised again": Fault(
         "a landmark that returns into view becomes another one",
-        _by_labels(_InitialisedAgain),
+        by_labels(_InitialisedAgain),
     ),
     "labels exchanged": Fault(
         "two labels of every tenth scan are exchanged",
-        _by_labels(_SwappedLabels),
+        by_labels(_SwappedLabels),
     ),
     "gate of sigmas": Fault(
         f"the gate compares squared distances with {_GATE_SIGMA:g} sigma",
-        _by_labels(KnownAssociation, gate=_GATE_SIGMA),
+        by_labels(KnownAssociation, gate=_GATE_SIGMA),
     ),
 }

@@ -407,6 +407,7 @@ def changes_of_information(size: int) -> Iterator[EdgeChange]:
         ("its square", _power(0.5)),
         ("the covariance's square", _power(-0.5)),
         ("L^T L, not L L^T, of its Cholesky factor L", _other_factor),
+        ("L L^T, not L^T L, of the factor L that it is made of", _factor_of_other),
     ]
     for how, read in readings:
         yield EdgeChange("information", f"when {_STATED} is {how}", _of_covariance(read),
@@ -458,6 +459,12 @@ def _power(exponent: float) -> Callable[[Array], Array]:
 def _other_factor(covariance: Array) -> Array:
     """(N, n, n) covariances where L^T L was read, L being the information's Cholesky factor."""
     root = np.linalg.cholesky(np.linalg.inv(covariance)[:, ::-1, ::-1])[:, ::-1, ::-1]  # L^T
+    return np.asarray(np.linalg.inv(root.mT @ root))
+
+
+def _factor_of_other(covariance: Array) -> Array:
+    """(N, n, n) covariances where L L^T was read, and L^T L was meant, L being lower triangular."""
+    root = np.linalg.cholesky(np.linalg.inv(covariance))
     return np.asarray(np.linalg.inv(root.mT @ root))
 
 

@@ -17,6 +17,8 @@ from comparisons.arrays import Array
 
 _TRANSPOSED, _INVERTED, _BY_ENTRIES = "^T", "^-1", "*"
 Shapes = Mapping[str, tuple[int, ...]]
+_ALIKE = 1e-6
+"""Of the largest entry, within which a recorded matrix is one that is known."""
 
 
 class Factor(NamedTuple):
@@ -139,6 +141,12 @@ def _marked(value: Array, mark: str) -> Array:
     if mark == _TRANSPOSED:
         return value.mT
     return inverse(value) if mark == _INVERTED else value
+
+
+def alike(one: Array, recorded: Array) -> bool:
+    """Return whether a gain, a correction or another matrix is the recorded one."""
+    near = _ALIKE * float(np.abs(recorded).max(initial=0.0))
+    return one.shape == recorded.shape and bool(np.all(np.abs(one - recorded) <= near))
 
 
 def inverse(matrix: Array) -> Array:

@@ -43,6 +43,7 @@ class Slot:
         rows: Names of its rows.
         columns: Of its columns; of a vector one without a name.
         blocks: Columns that belong together, by name; of a covariance rows as well.
+        row_blocks: Rows that belong together, by name.
         covariance: Symmetric, of variances.
         named_parts: Its parts, where they are not all rows, columns, blocks and terms; none of what
             is changed as a whole alone.
@@ -54,6 +55,7 @@ class Slot:
     rows: tuple[str, ...]
     columns: tuple[str, ...] = ("",)
     blocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    row_blocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     covariance: bool = False
     named_parts: tuple[Part, ...] | None = None
     movable_rows: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
@@ -69,11 +71,14 @@ _POSE = ("x", "y", "heading")
 _POSITION: Mapping[str, tuple[int, ...]] = {"position": (0, 1)}
 _OF_LANDMARKS = ("landmark's x", "landmark's y")
 _MEASURED = ("range", "bearing")
-F = Slot(name="F", rows=_POSE, columns=_POSE, blocks=_POSITION)
-B = Slot(name="the control's Jacobian", rows=_POSE, columns=("speed", "turn"))  # fmt: skip
+F = Slot(name="F", rows=_POSE, columns=_POSE, blocks=_POSITION, row_blocks=_POSITION)
+B = Slot(name="the control's Jacobian", rows=_POSE, columns=("speed", "turn"),
+         row_blocks=_POSITION)  # fmt: skip
 B_OF_DISPLACEMENT = Slot(
     name="the displacement's Jacobian", rows=_POSE, columns=("ahead", "left", "turn"),
+    row_blocks=_POSITION,
 )  # fmt: skip
+VELOCITY = Slot(name="the predicted velocity", rows=_POSE, row_blocks=_POSITION)
 Q = Slot(name="Q", rows=_POSE, columns=_POSE, blocks=_POSITION, covariance=True)  # fmt: skip
 H = Slot(name="H", rows=_MEASURED, columns=(*_POSE, *_OF_LANDMARKS),
          blocks={"pose": (0, 1, 2), "position and landmark": (0, 1, 3, 4), "position": (0, 1),
@@ -90,7 +95,7 @@ R_OF_POSITION = Slot(name="R of positions", rows=_AXES, columns=_AXES, covarianc
 PRIOR = Slot(name="the prior's covariance", rows=_POSE, columns=_POSE, blocks=_POSITION,
              covariance=True)  # fmt: skip
 SLOTS = (
-    F, B, B_OF_DISPLACEMENT, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z, POSITION,
+    F, B, B_OF_DISPLACEMENT, VELOCITY, Q, H, R, EXPECTED, INNOVATION, PLACE, G_X, G_Z, POSITION,
     R_OF_POSITION, PRIOR,
 )  # fmt: skip
 
@@ -182,6 +187,8 @@ def parts(slot: Slot) -> Iterator[Part]:
     elif slot.covariance:
         yield from _parts_of_covariance(slot)
     elif slot.shape[1] == 1:
+        for name, at in slot.row_blocks.items():
+            yield Part(f"the {name} of {slot.name}", mask_of(slot.shape, at, (0,)))
         for k, row in enumerate(slot.rows):
             yield Part(f"the {row} of {slot.name}", mask_of(slot.shape, (k,), (0,)))
     else:
@@ -203,6 +210,11 @@ def _parts_of_matrix(slot: Slot) -> Iterator[Part]:
     columns |= {f"{name} column": (k,) for k, name in enumerate(slot.columns)}
     for name, at in columns.items():
         yield Part(f"the {name} of {slot.name}", mask_of(slot.shape, every_row, at))
+    for row, of_row in slot.row_blocks.items():
+        for name, at in columns.items():
+            term = name.replace(" column", " term").replace(" block", " part")
+            words = f"the {term} of the {row} rows of {slot.name}"
+            yield Part(words, mask_of(slot.shape, of_row, at))
     for k, row in enumerate(slot.rows):
         for name, at in columns.items():
             term = name.replace(" column", " term").replace(" block", " part")
@@ -227,10 +239,15 @@ def compositions(slot: Slot, like: Values) -> Iterator[Composition]:
         like: Values with the same factors and elsewhere: what there is to make faults of.
     """
     yield from single_changes(slot, like)
+    yield from joined_changes(slot, like)
+    yield from numbered_changes(slot)
+
+
+def joined_changes(slot: Slot, like: Values) -> Iterator[Composition]:
+    """Yield the faults of a slot that are two changes: terms moved, and a part negated."""
     for structure in _structures(slot, like):
         for part in parts(slot):
             yield _also_negated(structure, part)
-    yield from numbered_changes(slot)
 
 
 def single_changes(slot: Slot, like: Values) -> Iterator[Composition]:
@@ -251,12 +268,12 @@ def numbered_changes(slot: Slot) -> Iterator[Composition]:
     """Yield the faults of a slot that have a number."""
     for part in parts(slot):
         yield Composition(
-            slot, "times", times(part.words), _times(part.mask), (1.0,), mask=part.mask
+            slot, "times", times(part.words), times_number(part.mask), (1.0,), mask=part.mask
         )
     for part in parts(slot):
         on_diagonal = slot.covariance and bool(part.mask.diagonal().any())
         said = f"{part.words} has {{0:+.4g}} added{' on its diagonal' if on_diagonal else ''}"
-        plus = _plus_on_diagonal if on_diagonal else _plus
+        plus = _plus_on_diagonal if on_diagonal else plus_number
         yield Composition(slot, "plus", said, plus(part.mask), (0.0,), mask=part.mask)
 
 
@@ -265,11 +282,13 @@ def _within(mask: Mask, sound: Array, changed: Array) -> Array:
     return np.where(mask, changed, sound)
 
 
-def _times(mask: Mask) -> Callable[[Values, float], Array]:
+def times_number(mask: Mask) -> Callable[[Values, float], Array]:
+    """Return what multiplies the terms of a part by a number."""
     return lambda values, factor: _within(mask, values.sound, factor * values.sound)
 
 
-def _plus(mask: Mask) -> Callable[[Values, float], Array]:
+def plus_number(mask: Mask) -> Callable[[Values, float], Array]:
+    """Return what adds a number to the terms of a part."""
     return lambda values, more: _within(mask, values.sound, values.sound + more)
 
 

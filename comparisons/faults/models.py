@@ -17,7 +17,6 @@ from ekf_reference.models.position import PositionModel
 
 _DRIFT_RADPS = 0.01
 _BEARING_ROW, _HEADING_COLUMN = np.s_[:, 1], np.s_[:, :, 2]
-Column = tuple[float, float]
 
 
 def h_times(factor: float, *, pose: Any = None, landmark: Any = None) -> Plant:
@@ -55,14 +54,8 @@ def _clockwise(own: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
     return z * (1.0, -1.0), noise
 
 
-def expected_wrapped(own: Any, z: Array, predicted: Array) -> Array:
-    """Off by a turn where expected and measured bearing lie on either side of the cut."""
-    wrapped = predicted.copy()
-    wrapped[..., 1] = np.angle(np.exp(1j * predicted[..., 1]))
-    return z - wrapped
-
-
-def _wrong_quadrant(own: Any, pose: Array, z: Array) -> NewLandmarks:
+def wrong_quadrant(own: Any, pose: Array, z: Array) -> NewLandmarks:
+    """New landmarks by atan of the direction where atan2 belongs. own: makes them of a pose."""
     turned = np.arctan(np.tan(pose[2] + z[:, 1])) - pose[2]
     new: NewLandmarks = own(pose, np.column_stack((z[:, 0], turned)))
     return new
@@ -114,45 +107,6 @@ def _drift(own: Any, pose: Array, control: Array, duration_s: float) -> MotionSt
     step: MotionStep = own(pose, control, duration_s)
     step.pose[2] += _DRIFT_RADPS * duration_s
     return step
-
-
-def noise_in_body_axes(own: Any, pose: Array, *args: Any) -> MotionStep:
-    """B by the axes of the vehicle, added as if these were the map's."""
-    step: MotionStep = own(pose, *args)
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    jacobian = step.jacobian_control.copy()
-    jacobian[:2] = np.array([[cos, sin], [-sin, cos]]) @ jacobian[:2]
-    return step._replace(jacobian_control=jacobian)
-
-
-def dead_reckoned_heading() -> Plant:
-    """Steps lead along the heading of plain dead reckoning; the Jacobians are right."""
-    heading_rad: list[float] = []
-
-    def step(own: Any, pose: Array, *args: Any) -> MotionStep:
-        moved: MotionStep = own(pose, *args)
-        there = own(np.append(pose[:2], heading_rad or pose[2:]), *args).pose
-        heading_rad[:] = [float(there[2])]
-        return moved._replace(pose=np.append(there[:2], moved.pose[2]))
-
-    return moving(step)
-
-
-def heading_column(change: Callable[[float, float, float], Column]) -> Plant:
-    """F with another column by the heading. change: of a step's east, north [m] and turn per metre.
-
-    Sound is (-north, east).
-    """
-
-    def step(own: Any, pose: Array, *args: Any) -> MotionStep:
-        moved: MotionStep = own(pose, *args)
-        east, north, turn = (moved.pose - pose).tolist()
-        way = float(np.hypot(east, north))
-        jacobian = moved.jacobian_pose.copy()
-        jacobian[:2, 2] = change(east, north, turn / way if way else 0.0)
-        return moved._replace(jacobian_pose=jacobian)
-
-    return moving(step)
 
 
 def _opposite_column(own: Any, *args: Any) -> MotionStep:
@@ -208,7 +162,7 @@ FAULTS = {
         "a landmark is initialised at the pose before the update", remembering(_from_old_pose)
     ),
     "wrong quadrant": Fault(
-        "a new landmark's direction by atan where atan2 belongs", observing(invert=_wrong_quadrant)
+        "a new landmark's direction by atan where atan2 belongs", observing(invert=wrong_quadrant)
     ),
     "steering sign": Fault("steering counted positive to the right", moving(_steering_sign)),
     "wheelbase wrong": Fault(

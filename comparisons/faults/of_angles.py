@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.faults.formulas import alike
 from comparisons.faults.recursion import Remembering
 from comparisons.statistics import chi2_tail
 from comparisons.trace.events import Update
 
 _EQUAL = 1e-6
-"""Relative to the largest entry, within which two matrices are the same."""
+"""Relative, of the largest shift, as rounding."""
 _LEAST_TURN = 1e-3
 """Least shift of a mean [rad] that is told from another noise."""
 _UNLIKELY = 1e-4
@@ -29,11 +30,13 @@ class AngleMean(NamedTuple):
         component: Of the measurement, which is the angle.
         shift: How far the residual is off by it [rad].
         spread: (m, m) the innovation's covariance that follows.
+        gain: (n, m) Kalman's for that.
     """
 
     component: int
     shift: float
     spread: Array
+    gain: Array
 
     @property
     def words(self) -> str:
@@ -65,14 +68,14 @@ def angle_mean(event: Update, replay: Remembering) -> AngleMean | None:
     across = matrices["P"] @ matrices["H"].T
     sound = matrices["H"] @ across + matrices["R"]
     spread: Array = np.asarray(np.linalg.lstsq(gain, across)[0], dtype=np.float64)
-    if not _alike(gain @ spread, across):
+    if not alike(gain @ spread, across):
         return None
     more = spread - sound
     component = int(np.argmax(np.abs(np.diag(more))))
     square = float(more[component, component])
     alone = np.zeros_like(more)
     alone[component, component] = square
-    if not (_LEAST_TURN**2 < square <= (np.pi * (1.0 + _EQUAL)) ** 2) or not _alike(
+    if not (_LEAST_TURN**2 < square <= (np.pi * (1.0 + _EQUAL)) ** 2) or not alike(
         sound + alone, spread
     ):
         return None
@@ -81,16 +84,15 @@ def angle_mean(event: Update, replay: Remembering) -> AngleMean | None:
     off[component] = shift
     if not _fits(event.residual - off, sound) or _fits(event.residual, sound):
         return None
-    return AngleMean(component, shift, sound + alone)
+    return AngleMean(component, shift, sound + alone, gain)
 
 
 def by_angle_mean(replay: Remembering, event: Update) -> None:
     """Do an update with such a mean where it was taken, and as it is where not."""
     mean, before = angle_mean(event, replay), replay.covariance
     replay.apply(event)
-    gain = told_gain(event)
-    if mean is not None and gain is not None:
-        replay.covariance = before - gain @ mean.spread @ gain.T
+    if mean is not None:
+        replay.covariance = before - mean.gain @ mean.spread @ mean.gain.T
 
 
 def told_gain(event: Update) -> Array | None:
@@ -106,7 +108,3 @@ def told_gain(event: Update) -> Array | None:
 def _fits(residual: Array, covariance: Array) -> bool:
     squared = float(residual @ np.linalg.solve(covariance, residual))
     return chi2_tail(squared, len(residual)) > _UNLIKELY
-
-
-def _alike(one: Array, other: Array) -> bool:
-    return bool(np.abs(one - other).max() <= _EQUAL * np.abs(other).max())

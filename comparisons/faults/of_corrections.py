@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from itertools import islice
 
 from comparisons.arrays import Array
+from comparisons.faults.formulas import alike
 from comparisons.faults.of_events import (
     EventFault,
-    alike,
     gain_faults,
     has_another_gain,
     kalman_gain,

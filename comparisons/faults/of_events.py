@@ -18,7 +18,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.audit.replay import Replay
-from comparisons.faults.formulas import Recipe, Use, uses, variants, written
+from comparisons.faults.formulas import Recipe, Use, alike, uses, variants, written
 from comparisons.faults.grammar import (
     Composition,
     Text,
@@ -54,9 +54,6 @@ from comparisons.trace.events import (
 
 _MOST_GAINS_AT_ONCE, _MOST_ENTRIES = 256, 4_000_000
 """Gains that are computed together, and entries of the covariances for them."""
-_ALIKE = 1e-6
-"""Of the largest entry, within which a recorded gain is one that is known."""
-
 _IN_GAIN = ("S", "K")
 _PARTED = ("", "Joseph's form")
 """Forms in which parts of matrices are changed: in the others they come to the same, or are rare.
@@ -200,12 +197,6 @@ def corrects_otherwise(event: Update, replay: Remembering) -> bool:
 def has_another_gain(event: Update, replay: Remembering) -> bool:
     """Whether a recorded gain is not Kalman's."""
     return event.gain is not None and not alike(kalman_gain(replay, event), event.gain)
-
-
-def alike(one: Array, recorded: Array) -> bool:
-    """Whether a gain, a correction or another matrix is the recorded one."""
-    near = _ALIKE * float(np.abs(recorded).max(initial=0.0))
-    return one.shape == recorded.shape and bool(np.all(np.abs(one - recorded) <= near))
 
 
 def _corrects(event: Update, gain: Array) -> bool:

@@ -20,7 +20,7 @@ from comparisons.audit.own_filter import distances_of
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Removed
-from comparisons.fingerprints.companion import Companion, EstimateLeftError
+from comparisons.fingerprints.companion import Companion, EstimateLeftError, part_of_step
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import EKF, ONE_BY_ONE, filter_of
@@ -306,7 +306,8 @@ class _Search:
         left = np.union1d(self.rows, first_rows(prepared.log.measurements.landmark, first))
         limit = float(chi2_quantile(gate, 2)) if gate else None
         log = without(prepared.log, left.astype(np.intp), limit)
-        beside = _Followed(given, self.sound, _SHARE, LIKE_SIGMA)
+        between = part_of_step(log)
+        beside = _Followed(given, self.sound, _SHARE, LIKE_SIGMA, between)
 
         def started(ekf: Ekf) -> Companion:
             ekf.association = _Gated(ekf.association, rejected)

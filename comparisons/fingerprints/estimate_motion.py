@@ -16,7 +16,7 @@ from comparisons.checks.grade import LIKE_SIGMA, Likeness, likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
-from comparisons.fingerprints.companion import Companion, EstimateLeftError
+from comparisons.fingerprints.companion import Companion, EstimateLeftError, part_of_step
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, Named, RelativePoses, own_integration
 from comparisons.pipeline.prepared import Prepared
@@ -63,7 +63,9 @@ def integrations_of(
     far = {ours: nearest.farthest}
     for one, name in product(others, dict.fromkeys((nearest.reference.name, *filters))):
         other = replace(prepared, log=replace(log, integration=one))
-        again = _kept(name, other, given, Companion(given, nearest, _HALF, LIKE_SIGMA))
+        between = part_of_step(other.log)
+        beside = Companion(given, nearest, _HALF, LIKE_SIGMA, between)
+        again = _kept(name, other, given, beside)
         if again is not None:
             apart_sigma = likeness(given, again, labelled=prepared.labelled).farthest
             far[one] = min(apart_sigma, far.get(one, apart_sigma))

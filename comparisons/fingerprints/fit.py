@@ -13,13 +13,16 @@ from comparisons.fingerprints.companion import NEAR
 
 Remainder = Callable[[Fault], Array | None]
 """(n,) what a filter with a fault leaves of the first poses; None where it does not reach them."""
-_ROUNDS, _STEP, _MOST_STEP = 12, 1e-4, 1.5
+_ROUNDS, STEP, _MOST_STEP = 12, 1e-4, 1.5
 """Of a fit: rounds, the step of a difference, and the largest of a round, in the number or its
 logarithm."""
 _EXPLAINED = 0.7
 """Least share of what is left that a round's numbers explain; beside another fault it is less."""
 _NUMBERS = 3
 """Most numbers that are fitted together."""
+_FACTORS = (2.0, -2.0, 5.0, -5.0, 8.0)
+_OFFSETS = (0.05, -0.05, 0.3)
+"""From the number of no fault, where a fit begins anew: of logarithms, and of what is added."""
 _NEUTRAL = 1e-6
 """A number so near to that of no fault is none."""
 
@@ -56,7 +59,7 @@ class FaultFit:
 
     def moved(self, which: int) -> Fault:
         """All of them at once, one number moved by the step of a difference."""
-        return self.at_numbers(self.at + _STEP * (np.arange(len(self.at)) == which))
+        return self.at_numbers(self.at + STEP * (np.arange(len(self.at)) == which))
 
     def near(self, enough: float) -> bool:
         """Whether no more than so much is left anywhere."""
@@ -69,11 +72,20 @@ class FaultFit:
         )
 
 
+def starts(family: Family) -> list[float]:
+    """Return numbers from which a fit may begin, the first that of no fault."""
+    neutral = _neutral(family)
+    offsets = _FACTORS if family.factor else _OFFSETS
+    return [neutral + one for one in (0.0, *offsets)]
+
+
 def settled(fit: FaultFit, remainder: Remainder) -> FaultFit | None:
     """Return a fit with better numbers, by Gauss and Newton, as far as they explain what is left.
 
-    The derivatives are differences. None where a filter breaks down.
+    The derivatives are differences. None where a filter breaks down, or has other instants with
+    other numbers.
     """
+    remainder = _of_length(remainder, len(fit.left))
     for _ in range(_ROUNDS):
         slope = _slope(fit, remainder)
         if slope is None:
@@ -86,7 +98,7 @@ def settled(fit: FaultFit, remainder: Remainder) -> FaultFit | None:
         if left is None:
             return None
         fit = replace(fit, at=fit.at + step, left=left)
-        if np.abs(step).max() < _STEP**2 or fit.near(1e-3 * NEAR):
+        if np.abs(step).max() < STEP**2 or fit.near(1e-3 * NEAR):
             break
     return fit
 
@@ -101,6 +113,8 @@ def selected(
     """
     left = remainder(base)
     fit = None if left is None else FaultFit(base, (), np.empty(0), left)
+    if left is not None:
+        remainder = _of_length(remainder, len(left))
     for _ in range(_NUMBERS):
         if fit is None or fit.near(enough):
             break
@@ -114,6 +128,7 @@ def selected(
 def nearest(fit: FaultFit, faults: Iterable[Fault], remainder: Remainder) -> Fault | None:
     """Return the fault that leaves the least beside the numbers of a fit; None where none helps."""
     best, least = None, float(np.linalg.norm(fit.left))
+    remainder = _of_length(remainder, len(fit.left))
     for fault in faults:
         if fault.plant and fit.planted:
             continue
@@ -121,6 +136,19 @@ def nearest(fit: FaultFit, faults: Iterable[Fault], remainder: Remainder) -> Fau
         if left is not None and np.linalg.norm(left) < least:
             best, least = fault, float(np.linalg.norm(left))
     return best
+
+
+def _of_length(remainder: Remainder, length: int) -> Remainder:
+    """What a fault leaves where it is as much as another leaves; else None.
+
+    A filter whose instants are others is compared in other numbers: between them by poses alone.
+    """
+
+    def as_long(fault: Fault) -> Array | None:
+        left = remainder(fault)
+        return left if left is not None and len(left) == length else None
+
+    return as_long
 
 
 def _next(fit: FaultFit, families: Iterable[Family], remainder: Remainder) -> Family | None:
@@ -132,7 +160,7 @@ def _next(fit: FaultFit, families: Iterable[Family], remainder: Remainder) -> Fa
         other = remainder(fit.with_one(one).moved(len(fit.at)))
         if other is None:
             continue
-        all_of = np.column_stack((slope, (other - fit.left) / _STEP))
+        all_of = np.column_stack((slope, (other - fit.left) / STEP))
         rest = fit.left + all_of @ -np.linalg.lstsq(all_of, fit.left)[0]
         if np.linalg.norm(rest) < least:
             best, least = one, float(np.linalg.norm(rest))
@@ -146,7 +174,7 @@ def _slope(fit: FaultFit, remainder: Remainder) -> Array | None:
         other = remainder(fit.moved(which))
         if other is None:
             return None
-        columns.append((other - fit.left) / _STEP)
+        columns.append((other - fit.left) / STEP)
     return np.column_stack(columns) if columns else np.empty((len(fit.left), 0))
 
 
@@ -155,4 +183,5 @@ def _member(family: Family, at: float) -> Fault:
 
 
 def _neutral(family: Family) -> float:
+    """The number of no fault, of a factor its logarithm."""
     return float(np.log(family.neutral)) if family.factor else family.neutral

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -12,21 +12,22 @@ from comparisons.adapters.motion import CLOCK_S
 from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.faults.catalogue import catalogue, families, is_setting, own_start
+from comparisons.faults.catalogue import is_setting, own_start
 from comparisons.faults.fault import Family, Fault
-from comparisons.faults.planting import composed_faults
-from comparisons.fingerprints.companion import EXPLAINED
-from comparisons.fingerprints.estimate_motion import in_words
+from comparisons.faults.streams import stream_families, stream_faults
+from comparisons.faults.tried import TriedFaults
+from comparisons.fingerprints.estimate_motion import in_words, integrations_by_steps
 from comparisons.fingerprints.fit import FaultFit
 from comparisons.fingerprints.trial import FaultTrial, Fingerprint, Way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
-from comparisons.pipeline.beside import BackgroundCall
-from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.clock import Progress
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import KINDS, ORDERS
-from comparisons.pipeline.size import counts
 from comparisons.words import Cause
+
+_MOST_OTHERS = 2
+"""Most faults that are named beside one that reproduces an estimate as well."""
 
 
 def fingerprints(
@@ -37,113 +38,144 @@ def fingerprints(
     *,
     several: bool = True,
 ) -> list[Fingerprint]:
-    """Return the faults that explain an estimate, the nearest first.
+    """Return what reproduces an estimate to rounding: one at most, with what does so as well.
 
     given: its poses at the reference's times, and no others. sound: what it is most like of what
-    has no fault. several: whether to look for faults that explain it only together. Each fault is
-    tried with each order of updates, until a run leaves the estimate; then those of the log's
-    numbers in filters of other kinds, and several together; then each with other integrations,
-    which another core does meanwhile where one is free. What reproduces it to rounding ends the
-    search.
+    has no fault. several: whether to look for faults that explain it only together. The simplest
+    are tried first: faults without a number, with one, two joined, those of filters of other
+    kinds, and several together. Each runs until it leaves the estimate, in a filter of another
+    order of updates or integration only where that may make the difference.
     """
-    log, search = prepared.log, _Search(given, prepared, sound)
-    ordered = [Way(by, log, order) for order, by in ORDERS.items()]
-    kinds = [Way(f"it is {kind}", log, kind) for kind in KINDS]
-    moving = [
-        Way(", ".join(filter(None, (by, steps))), other, order)
-        for steps, other in _integrated(log)
-        for order, by in ORDERS.items()
-    ]
-    found = search.through(ordered, search.faults, progress)
-    if not _exact(found):
-        composed, numbered = composed_faults(log)
-        found += search.through(ordered, composed, progress, exactly=True)
-        if not _exact(found):
-            found += search.through(ordered, list(families(log)), progress)
-        if not _exact(found):
-            found += search.through(ordered, numbered, progress, exactly=True)
-    if not _exact(found):
-        known: list[Fault | Family] = [*search.faults, *families(log)]
-        size = counts(prepared)
-        with BackgroundCall(search.through, moving, known, size=size, pays_from=0) as second:
-            found += search.through(kinds, known, progress)
-            if not _exact(found):
-                if several:
-                    progress("fingerprints together", 0, 0)
-                    found += search.together(ordered)
-                if not _exact(found):
-                    found += second.result()
-    return _exact(found) or sorted(found, key=lambda one: one.sigma)
+    search, tried = _Search(given, prepared, sound, progress), TriedFaults(prepared.log)
+    return (
+        search.without_number([*_start(given, prepared.log), *tried.single])
+        or search.with_number(tried.numbered)
+        or search.without_number(tried.joined)
+        or search.of_kinds()
+        or (search.together() if several else [])
+    )
 
 
-def _exact(found: Iterable[Fingerprint]) -> list[Fingerprint]:
-    """The exact one that lasts longest, of several the first; none where none is."""
-    exact = sorted((one for one in found if one.exact), key=lambda one: one.rank[:2])
-    return exact[:1]
+def _joined(found: Sequence[Fingerprint]) -> list[Fingerprint]:
+    """The one that lasts longest, of several the first, with the others that last as long."""
+    if not found:
+        return []
+    first, *others = sorted(found, key=lambda one: one.rank[0])
+    if first.whole:
+        also = [one.fault for one in others if one.whole and one.way == first.way]
+        first = first._replace(others=tuple(dict.fromkeys(also))[:_MOST_OTHERS])
+    return [first]
 
 
-@dataclass(frozen=True)
 class _Search:
-    """What `fingerprints` was asked for."""
+    """What `fingerprints` was asked for.
 
-    given: ExternalEstimate
-    prepared: Prepared[SolveConfig]
-    sound: Likeness
+    trials: filters without a fault that equal the estimate for as long as any does. lasting,
+    fitting: faults and families that do not contradict the estimate before it leaves these.
+    """
 
-    @property
-    def faults(self) -> list[Fault]:
-        """The catalogue's, and the estimate's own start."""
-        log = self.prepared.log
-        return [*_start(self.given, log), *catalogue(log)]
+    def __init__(
+        self,
+        given: ExternalEstimate,
+        prepared: Prepared[SolveConfig],
+        sound: Likeness,
+        progress: Progress,
+    ) -> None:
+        """progress: is told what is tried."""
+        self.given, self.prepared, self.sound, self.progress = given, prepared, sound, progress
+        log, known = prepared.log, integrations_by_steps(given, prepared) is not None
+        moving = [("", log), *([] if known else _integrated(log))]
+        trials = [
+            self._trial(Way(", ".join(filter(None, (by, steps))), other, order))
+            for steps, other in moving
+            for order, by in ORDERS.items()
+        ]
+        lasts = max(trial.equal_poses for trial in trials)
+        self.trials = [trial for trial in trials if trial.equal_poses == lasts]
+        self.fitting: list[Family] = []
+        self.lasting: list[Fault] = []
 
     def _trial(self, way: Way) -> FaultTrial:
         prepared = replace(self.prepared, log=way.log)
         return FaultTrial(self.given, prepared, self.sound, way)
 
-    def through(
-        self,
-        ways: Sequence[Way],
-        todo: Sequence[Fault | Family],
-        progress: Progress = no_progress,
-        *,
-        exactly: bool = False,
-    ) -> list[Fingerprint]:
-        """What each fault explains, with the way that leaves the least; an exact one is the last.
-
-        In filters of other kinds only faults of the log's numbers are tried. exactly: those that
-        leave more than rounding explain nothing.
-        """
-        found: dict[int, Fingerprint] = {}
-        trials = [self._trial(way) for way in ways]
-        for done, fault in enumerate(todo):
-            progress("fingerprints", done, len(todo))
-            for trial in trials:
-                if trial.way.name in KINDS and fault.plant is not None:
-                    continue
-                one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
-                if one is None or (exactly and not one.exact):
-                    continue
-                if not one.rank > found.get(done, one).rank:
-                    found[done] = one
-                if one.whole:
-                    return [one]
-            if _exact(found.values()):
+    def without_number(self, faults: Sequence[Fault]) -> list[Fingerprint]:
+        """What reproduces the estimate, of faults without a number."""
+        explained = list[Fingerprint]()
+        for done, fault in enumerate(faults):
+            self.progress("fingerprints", done, len(faults))
+            found, early = self._tried(fault)
+            explained += [] if found is None else [found]
+            if not early:
+                self.lasting.append(fault)
+            if sum(one.whole for one in explained) > _MOST_OTHERS:
                 break
-        return list(found.values())
+        return _joined(explained)
 
-    def together(self, ways: Iterable[Way]) -> list[Fingerprint]:
+    def _tried(self, fault: Fault) -> tuple[Fingerprint | None, bool]:
+        """What a fault explains in the filter where it explains the most; whether it left early."""
+        first, *others = self.trials
+        tried = first.of(fault)
+        best = tried.explained
+        early = tried.departure is not None and first.is_early(tried.departure)
+        if best is not None and best.whole:
+            return best, False
+        for trial in others:
+            if tried.departure is not None and first.farther_than(trial, tried.departure):
+                continue
+            found = trial.of(fault).explained
+            if found is not None and (best is None or found.rank < best.rank):
+                best = found
+            if best is not None and best.whole:
+                break
+        return best, early
+
+    def with_number(self, every: Sequence[Family]) -> list[Fingerprint]:
+        """What reproduces the estimate, of faults with a number: with the one that fits."""
+        explained, first = list[Fingerprint](), self.trials[0]
+        for done, family in enumerate(every):
+            self.progress("fingerprints with a number", done, len(every))
+            if not first.may_fit(family):
+                continue
+            self.fitting.append(family)
+            for trial in self.trials:
+                fit = trial.fitted(family)
+                found = None if fit is None else trial.of(fit.fault).explained
+                explained += [] if found is None else [found]
+                if fit is None or found is not None:
+                    break
+            if sum(one.whole for one in explained) > _MOST_OTHERS:
+                break
+        return _joined(explained)
+
+    def of_kinds(self) -> list[Fingerprint]:
+        """What reproduces the estimate in filters of other equations: faults of the log's."""
+        log, explained = self.prepared.log, list[Fingerprint]()
+        faults = [one for one in (*_start(self.given, log), *stream_faults(log)) if not one.plant]
+        for kind in KINDS:
+            trial = self._trial(Way(f"it is {kind}", log, kind))
+            explained += filter(None, (trial.of(fault).explained for fault in faults))
+            for family in stream_families(log):
+                fit = trial.fitted(family) if trial.may_fit(family) else None
+                found = None if fit is None else trial.of(fit.fault).explained
+                explained += [] if found is None else [found]
+            if any(one.whole for one in explained):
+                break
+        return _joined(explained)
+
+    def together(self) -> list[Fingerprint]:
         """The faults that explain the estimate only together; none where none do."""
-        faults, numbers = self.faults, list(families(self.prepared.log))
+        self.progress("fingerprints together", 0, 0)
         left: list[tuple[FaultTrial, FaultFit]] = []
-        for trial in (self._trial(way) for way in ways):
+        for trial in self.trials:
             if any(before.hopeless(fit, trial) for before, fit in left):
                 continue
-            fit = trial.several(faults, numbers)
+            fit = trial.several(self.lasting, self.fitting)
             if fit is None:
                 continue
             left.append((trial, fit))
-            found = trial.of(fit.fault) if fit.near(trial.least) else None
-            if found is not None and found.exact:
+            found = trial.of(fit.fault).explained if fit.near(trial.least) else None
+            if found is not None:
                 return [found._replace(several=True)]
         return []
 
@@ -157,33 +189,24 @@ def _start(given: ExternalEstimate, log: Log) -> list[Fault]:
     return [own_start(log, own)] if positive else []
 
 
-def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:
-    """Return the faults that explain an estimate as a cause, the first two. sound: as above."""
-    first, *rest = known
-    if first.exact:
-        until = ""
-        if first.until_s is not None:
-            until = (
-                f" over {100.0 * first.share:.0f} % of the time, until both diverge at "
-                f"{first.until_s:.2f} s"
-            )
-        way = f"; {first.way}" if first.way else ""
-        these = "these faults" if first.several else "this fault"
-        return Cause(
-            "fault",
-            f"{first.fault}: with {these} the reference filter equals the estimate{until} "
-            f"({first.sigma:.1g} sigma; without it {sound.farthest:.2g}){way}",
-            "the log and the filter state different ones: correct the one that is wrong"
-            if is_setting(first.fault)
-            else "correct this in the filter",
+def fault_cause(known: Fingerprint, sound: Likeness) -> Cause:
+    """Return what reproduces an estimate as a cause. sound: as above."""
+    until = ""
+    if known.until_s is not None:
+        ends = "another difference begins" if known.jumps else "both diverge"
+        until = (
+            f" over {100.0 * known.share:.0f} % of the time, until {ends} at {known.until_s:.2f} s"
         )
-    others = [f"{one.fault} ({one.sigma:.2g})" for one in rest[:1]]
-    named = ", or: ".join((f"{first.fault} ({first.sigma:.2g} sigma)", *others))
+    way = f"; {known.way}" if known.way else ""
+    these = "these faults" if known.several else "this fault"
+    also = "".join(f", or: {other}" for other in known.others)
     return Cause(
         "fault",
-        f"one of the known faults explains {100.0 * EXPLAINED:.0f} % of the difference from the "
-        f"reference filter ({sound.farthest:.2g} sigma): {named}",
-        f"look in the filter for this: {first.fault}",
+        f"{known.fault}{also}: with {these} the reference filter equals the estimate{until} "
+        f"({known.sigma:.1g} sigma; without it {sound.farthest:.2g}){way}",
+        "the log and the filter state different ones: correct the one that is wrong"
+        if is_setting(known.fault)
+        else "correct this in the filter",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +22,20 @@ from comparisons.fingerprints.companion import (
     NEAR,
     Companion,
     EstimateLeftError,
+    RunDeparture,
+    in_both,
+    part_of_step,
     remainder,
+    remainders,
 )
-from comparisons.fingerprints.fit import FaultFit, nearest, selected, settled
+from comparisons.fingerprints.fit import (
+    STEP,
+    FaultFit,
+    nearest,
+    selected,
+    settled,
+    starts,
+)
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.clock import file_start
 from comparisons.pipeline.prepared import Prepared
@@ -43,6 +54,20 @@ _BESIDE = 2
 """Numbers beside which a fault without one is looked for: none, and one."""
 _STAMPS, _MOST_BY_STAMPS = 10.0, 1e-3
 """Last places of a stamp since 1970 by which poses may be off, and the most of it in sigma."""
+_JUMP = 1e4
+"""Times the largest difference until then by which a run leaves an estimate where another
+difference begins: rounding that grows in a filter that diverges passes what lies between."""
+_SCREENED = 2
+"""Poses, from the first that differs, by which families are screened."""
+_NO_EFFECT = 1.0
+"""Most that a number may move a pose [sigma] by its unit, before the estimate differs."""
+_UNFELT = 1e-3
+"""Share of the largest difference that a number without an effect on an entry may leave there."""
+_SAME_SIDE = 0.75
+"""Least share of entries that a number moves to the side on which the estimate is."""
+_MOST_LEFT = 0.2
+"""Share of what is left without a fault, of which a run with it may leave as much in another
+order."""
 _FAR = 10.0
 """What several faults leave, and so many times more than another order of updates can move."""
 
@@ -51,29 +76,31 @@ class Fingerprint(NamedTuple):
     """A fault that explains an estimate.
 
     fault: in words. way: how else the filter differs from the reference EKF, in words. sigma: the
-    largest difference that is left. exact: none but rounding is. until_s: when the filter with the
-    fault, diverging, leaves the estimate or breaks down; None where it does not. share: of the
-    estimate's time until then. several: whether it is several faults at once.
+    largest difference that is left, by rounding. until_s: when the filter with the fault leaves
+    the estimate or breaks down; None where it does not. jumps: whether it leaves it at once, so
+    that it does not diverge. share: of the estimate's time until then. several: whether it is
+    several faults at once. others: faults that explain it as well.
     """
 
     fault: str
     way: str
     sigma: float
-    exact: bool
     until_s: float | None = None
+    jumps: bool = False
     several: bool = False
     share: float = 1.0
+    others: tuple[str, ...] = ()
 
     @property
     def whole(self) -> bool:
         """Whether it reproduces all of the estimate."""
-        return self.exact and self.until_s is None
+        return self.until_s is None
 
     @property
-    def rank(self) -> tuple[bool, float, float]:
-        """Sorts what explains more before: to rounding, then longer, then with less left."""
+    def rank(self) -> tuple[float, float]:
+        """Sorts what explains more before: for longer, then with less left."""
         lasts_s = np.inf if self.until_s is None else self.until_s
-        return not self.exact, -lasts_s, self.sigma
+        return -lasts_s, self.sigma
 
 
 class Way(NamedTuple):
@@ -103,6 +130,16 @@ def stamp_rounding(given: ExternalEstimate, sound: Likeness, start_s: float) -> 
     return min(found, _MOST_BY_STAMPS)
 
 
+class Trial(NamedTuple):
+    """A fault that was tried.
+
+    explained: what it explains. departure: where its run was given up; None where it was not.
+    """
+
+    explained: Fingerprint | None = None
+    departure: RunDeparture | None = None
+
+
 class FaultTrial:
     """One filter beside an estimate, without a fault as yet.
 
@@ -114,27 +151,39 @@ class FaultTrial:
     ) -> None:
         """sound: as of `fingerprints`."""
         self.given, self.prepared, self.sound, self.way = given, prepared, sound, way
-        self.least = max(NEAR, stamp_rounding(given, sound, float(file_start(way.log))))
-        beside = Companion(given, sound)
+        self._by_stamps = stamp_rounding(given, sound, float(file_start(way.log)))
+        self.least = max(NEAR, self._by_stamps, *sound.parts[0].rounding)
+        self._between = part_of_step(way.log)
+        beside = self._companion()
         self._first, self._count = beside, beside.first(_POSES)
+
+    def _companion(self) -> Companion:
+        return Companion(self.given, self.sound, least=self.least, between=self._between)
 
     @cached_property
     def neutral(self) -> Array | None:
         """What is left of the first poses without a fault."""
-        return self._left(NONE)
+        rows = self._neutral_rows
+        return np.concatenate(rows) if len(rows) == self._count else None
+
+    @cached_property
+    def _neutral_rows(self) -> list[Array]:
+        """The same of each pose; as many as the filter reaches."""
+        return remainders(self._first, self._count, lambda beside: self._run(NONE, beside))
 
     @cached_property
     def _bare(self) -> Likeness | None:
         """The filter without a fault beside the estimate; None where it cannot run."""
-        found = self._run(NONE, FilterObservers())
-        return None if found is None else self._likeness(found)
+        reference = self._run(NONE, FilterObservers())
+        return None if reference is None else self._likeness(reference)
 
     def _likeness(self, found: Reference) -> Likeness:
         return likeness(self.given, found, labelled=self.prepared.labelled)
 
     def _equal(self, near: Likeness) -> bool:
         """Whether rounding is left, and no more, of numbers or of stamps since 1970."""
-        return near.grade == "equal" or (self.least > NEAR and near.farthest <= self.least)
+        by_stamps = self._by_stamps > NEAR and near.farthest <= self._by_stamps
+        return near.grade == "equal" or by_stamps
 
     def _wrong_without(self, until_s: float) -> bool:
         """Whether the filter without a fault had left the estimate for good by then."""
@@ -142,53 +191,124 @@ class FaultTrial:
             return True
         return Companion(self.given, self._bare).sound_at(until_s) >= _DIVERGED
 
-    def _left(self, fault: Fault) -> Array | None:
-        """What is left of the first poses; None where the filter does not reach them all."""
-        return remainder(self._first, self._count, lambda seen: self._run(fault, seen))
+    def _left(self, fault: Fault, count: int | None = None) -> Array | None:
+        """What is left of the first poses, or so many; None where the filter does not reach all."""
+        count = self._count if count is None else count
+        return remainder(self._first, count, lambda beside: self._run(fault, beside))
 
-    def of(self, fault: Fault) -> Fingerprint | None:
-        """What a fault explains; None where its filter leaves the estimate, or cannot run."""
-        beside = Companion(self.given, self.sound, least=self.least)
+    @cached_property
+    def equal_poses(self) -> int:
+        """How many of the first poses are those of the filter without a fault."""
+        off = [k for k, one in enumerate(self._neutral_rows) if np.abs(one).max() > self.least]
+        return off[0] if off else len(self._neutral_rows)
+
+    def is_early(self, departure: RunDeparture) -> bool:
+        """Whether a run left the estimate where the filter without a fault had not."""
+        return departure.row < self.equal_poses
+
+    def farther_than(self, other: FaultTrial, departure: RunDeparture) -> bool:
+        """Whether a run left by far more than this filter without a fault and another differ by.
+
+        Then the same fault in the other filter leaves the estimate as well; not where the run left
+        by little beside what is left without the fault, whose large residuals part both filters.
+        """
+        until = slice(departure.row + 1)
+        both = list(zip(self._neutral_rows[until], other._neutral_rows[until], strict=False))
+        if len(both) <= departure.row:
+            return False
+        without = float(np.abs(self._neutral_rows[departure.row]).max())
+        apart = max(float(np.abs(np.subtract(*in_both(*rows))).max()) for rows in both)
+        far = self.least + _FAR * apart
+        return departure.distance > max(far, _MOST_LEFT * without)
+
+    def of(self, fault: Fault) -> Trial:
+        """Try a fault: what it explains, or where its filter leaves the estimate."""
+        beside = self._companion()
         try:
-            found = self._run(fault, beside)
+            reference = self._run(fault, beside)
         except EstimateLeftError:
-            found = None
+            reference = None
         except InputError:
-            return None
-        with np.errstate(invalid="ignore"):  # a fault may leave no covariance
-            near = None if found is None else self._likeness(found)
+            return Trial()
+        with np.errstate(all="ignore"):  # a fault may leave no covariance, or zero
+            near = None if reference is None else self._likeness(reference)
         if near is not None and self._equal(near):
             if self._bare is not None and self._equal(self._bare):
-                return None  # a fault without effect
-            return Fingerprint(fault.what, self.way.words, near.farthest, exact=True)
+                return Trial()  # a fault without effect
+            return Trial(Fingerprint(fault.what, self.way.words, near.farthest))
         # Equal so long: then rounding grows, or it breaks down.
         begin_s, end_s = self.given.time_s[[0, -1]]
         share = float((beside.last_s - begin_s) / (end_s - begin_s)) if end_s > begin_s else 0.0
         lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED and share >= LEAST_SHARE
         if lasted and self._wrong_without(beside.last_s):
             until_s = beside.last_s if beside.last_s < end_s else None
-            return Fingerprint(
+            found = Fingerprint(
                 fault.what,
                 self.way.words,
                 beside.farthest,
-                exact=True,
                 until_s=until_s,
+                jumps=beside.jumps(_JUMP),
                 share=share,
             )
-        if near is None or not near.farthest <= (1.0 - EXPLAINED) * self.sound.farthest:
-            return None
-        return Fingerprint(fault.what, self.way.words, near.farthest, exact=False)
+            return Trial(found, beside.departure)
+        return Trial(None, beside.departure)
 
-    def fitted(self, family: Family) -> Fingerprint | None:
-        """What a family explains with the number that fits the first poses best.
+    def may_fit(self, family: Family) -> bool:
+        """Whether some number of a family may leave less of the first poses that differ.
 
-        None where nothing fits.
+        By the difference that a small number makes: none before the estimate differs, and then in
+        no entry to the other side than in the others.
+        """
+        rows = self._neutral_rows
+        if len(rows) < self._count:
+            return False
+        early = self.equal_poses
+        if early >= self._count:
+            return False
+        most = [np.abs(one) + STEP * _NO_EFFECT for one in rows[:early]]
+        moved = FaultFit(NONE, (), np.empty(0), np.empty(0)).with_one(family).moved(0)
+        count = min(early + _SCREENED, self._count)
+        made = remainders(self._first, count, lambda beside: self._run(moved, beside), most)
+        if len(made) < count:
+            return False
+        pairs = [in_both(*both) for both in zip(rows[early:count], made[early:count], strict=True)]
+        left, change = (np.concatenate(one) for one in zip(*pairs, strict=True))
+        with np.errstate(all="ignore"):
+            slope = (change - left) / STEP
+        if not np.isfinite(slope).all() or not np.abs(slope).max() > 0.0:
+            return False
+        weight = np.abs(left) / np.abs(left).max()
+        felt = np.abs(slope) > 1e-6 * np.abs(slope).max()
+        if weight[~felt].max(initial=0.0) > _UNFELT:
+            return False
+        signs = np.sign(slope * left)[felt & (weight > _UNFELT)]
+        same = max(np.count_nonzero(signs > 0), np.count_nonzero(signs < 0))
+        return bool(same >= _SAME_SIDE * len(signs))
+
+    def fitted(self, family: Family) -> FaultFit | None:
+        """Return the number that fits the first poses best; None where nothing fits.
+
+        It is fitted to the first that differ, then to all.
         """
         if self.neutral is None:
             return None
-        fit = settled(FaultFit(NONE, (), np.empty(0), self.neutral).with_one(family), self._left)
-        enough = max(self.least, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
-        return self.of(fit.fault) if fit is not None and fit.near(enough) else None
+        few = min(self.equal_poses + _SCREENED, self._count)
+        for start in starts(family):
+            fit = self._settled(family, start, few)
+            if fit is not None:
+                return self._settled(family, float(fit.at[0]), self._count)
+        return None
+
+    def _settled(self, family: Family, start: float, count: int) -> FaultFit | None:
+        """The number that fits so many of the first poses; None where that leaves too much."""
+        left = partial(self._left, count=count)
+        fit = FaultFit(NONE, (family,), np.array([start]), np.empty(0))
+        at_start = left(fit.at_numbers(fit.at))
+        if at_start is None:
+            return None
+        settling = settled(replace(fit, left=at_start), left)
+        enough = max(self.least, (1.0 - EXPLAINED) * self._first.sound_until(count))
+        return settling if settling is not None and settling.near(enough) else None
 
     def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> FaultFit | None:
         """Up to three numbers, alone or beside a fault without one, that leave the least together.
@@ -211,6 +331,8 @@ class FaultTrial:
     def hopeless(self, fit: FaultFit, other: FaultTrial) -> bool:
         """Whether what a fit leaves is far more than what another filter does otherwise."""
         if self.neutral is None or other.neutral is None:
+            return False
+        if len(self.neutral) != len(other.neutral):
             return False
         apart = float(np.linalg.norm(self.neutral - other.neutral))
         return bool(np.linalg.norm(fit.left) > _FAR * apart)

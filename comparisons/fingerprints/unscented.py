@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
@@ -14,7 +14,7 @@ from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
-from comparisons.fingerprints.companion import EXPLAINED, Companion, remainder
+from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, remainder
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import filter_of
 
@@ -29,6 +29,8 @@ _ROUNDS = 6
 _SLOW = 0.5
 """What a round of Gauss and Newton leaves of a wrong form; of the right one it leaves far less."""
 _ROUNDING = 1e-8
+_SCREENED = 4
+"""Poses, from the first that differs from the EKF's, to which a form is fitted at first."""
 
 
 def unscented_filters(
@@ -59,18 +61,32 @@ class _Fit:
         self.given, self.prepared = given, prepared
         self.beside = Companion(given, ekf)
         self.count = min(self.beside.first(_POSES), _MOST, len(given.time_s))
-        self.enough = max((1.0 - EXPLAINED) * self.beside.sound_until(self.count), _ROUNDING)
+        same = int(np.argmax(np.abs(self.beside.sound_rows).max(axis=1) > NEAR))
+        self.few = min(same + _SCREENED, self.count)
 
     def fitted(self, form: SigmaPoints, options: dict[str, bool]) -> type[UnscentedEkf] | None:
-        """Return the filter of a form that leaves the least; None where that is too much."""
+        """Return the filter of a form that leaves the least; None where that is too much.
+
+        It is fitted to the first poses that differ, then to all.
+        """
 
         def kind(at: Array) -> type[UnscentedEkf]:
             points = form._replace(spread=float(at[0]), central=float(at[1]))
             return type("FittedUnscentedEkf", (UnscentedEkf,), {**options, "points": points})
 
-        at, best, last = _START, _START, np.inf
+        at: Array | None = _START
+        for count in (self.few, self.count):
+            at = None if at is None else self._nearest(kind, at, count)
+        return None if at is None else kind(at)
+
+    def _nearest(
+        self, kind: Callable[[Array], type[UnscentedEkf]], at: Array, count: int
+    ) -> Array | None:
+        """Sigma points' numbers (2,) that leave the least of so many poses; None for too much."""
+        best, last = at, np.inf
         for _ in range(_ROUNDS):
-            now, *beside = (self._left(kind(one)) for one in (at, *(at + _STEP * np.eye(2))))
+            tried = (at, *(at + _STEP * np.eye(2)))
+            now, *beside = (self._left(kind(one), count) for one in tried)
             if now is None or beside[0] is None or beside[1] is None:
                 return None
             left = float(np.abs(now).max())
@@ -81,12 +97,13 @@ class _Fit:
                 break
             slope = np.column_stack([one - now for one in beside if one is not None])
             at = np.clip(at - np.linalg.lstsq(slope / _STEP, now)[0], _LOW, _HIGH)
-        return kind(best) if last <= self.enough else None
+        enough = max((1.0 - EXPLAINED) * self.beside.sound_until(count), _ROUNDING)
+        return best if last <= enough else None
 
-    def _left(self, kind: type[UnscentedEkf]) -> Array | None:
+    def _left(self, kind: type[UnscentedEkf], count: int) -> Array | None:
         """What is left of the first poses; None where the filter does not reach them all."""
 
         def run(seen: FilterObserver) -> None:
             filter_of(NAME, kind, self.prepared, self.given.time_s, lambda ekf: seen)
 
-        return remainder(self.beside, self.count, run)
+        return remainder(self.beside, count, run)

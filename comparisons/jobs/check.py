@@ -18,6 +18,7 @@ from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Verdict
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.fingerprints.clock import (
     counts_as_file,
     on_file_clock,
@@ -27,8 +28,16 @@ from comparisons.fingerprints.clock import (
 )
 from comparisons.fingerprints.data_use import with_removed
 from comparisons.jobs.external_check import ExternalCheck
-from comparisons.jobs.grading import Grader
-from comparisons.jobs.readings import READINGS, ReadingKind, integrated, remarked, stated
+from comparisons.jobs.grading import Grader, asks_for_variants
+from comparisons.jobs.readings import (
+    READINGS,
+    ReadingKind,
+    integrated,
+    moved_back,
+    remarked,
+    sound_filters,
+    stated,
+)
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.stamps import rounded
@@ -56,7 +65,9 @@ def check(
     given, aligned = _aligned(grader, given)
     grader, result = _clocked(grader, given)
     unsound = given.trace is not None and given.trace.unsound
-    if not (result.exact or unsound or len(result.inside.time_s) < FEWEST):
+    if result.motion is not None and result.outcome != "agree":
+        result = moved_back(grader, result, result.motion) or result
+    elif not (result.exact or unsound or len(result.inside.time_s) < FEWEST):
         progress("motion models", 0, 0)
         result = integrated(grader, result, ORDERS)
         result = _with_departure(grader, explained(grader, result, READINGS) or result)
@@ -129,16 +140,28 @@ def _with_departure(grader: Grader, found: ExternalCheck) -> ExternalCheck:
     prepared, inside = found.solution.prepared, found.inside
     left = None if found.trace is None else found.trace.departure
     if left is None:
-        sound = [one for one in (*found.peers, *found.variants) if not one.smoothed]
-        if sound and not found.variants:
-            filters = grader.filters(found.solution)
-            others = (filters.named(name, inside.time_s) for name in ORDERS if name != EKF)
-            sound += [one for one in others if one is not None]
+        sound = _to_leave(grader, found)
         left = departure_from(inside, sound, prepared.log, prepared.timeline)
     if left is None:
         return found
     said = "" if found.outcome == "agree" else left.briefly if found.reproduced else str(left)
     return replace(remarked(found, said), departure=left)
+
+
+def _to_leave(grader: Grader, found: ExternalCheck) -> list[Reference]:
+    """Sound filters that an estimate may leave: all where nothing else explains it.
+
+    Else those that it may be like, or those that differ by their order alone.
+    """
+    explained_as_is = found.outcome == "agree" or found.reproduced
+    if asks_for_variants(found.by_peer) and not explained_as_is:
+        return sound_filters(grader, found)
+    sound = [one for one in (*found.peers, *found.variants) if not one.smoothed]
+    if not sound or found.variants:
+        return sound
+    filters, time_s = grader.filters(found.solution), found.inside.time_s
+    others = (filters.named(name, time_s) for name in ORDERS if name != EKF)
+    return [*sound, *(one for one in others if one is not None)]
 
 
 def _qualified(found: ExternalCheck) -> ExternalCheck:

@@ -10,6 +10,7 @@ from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.departure import Departure
+from comparisons.checks.diagnosis.estimate_facts import UndoneMotion
 from comparisons.checks.external_agreement import ExternalAgreement, TimeCoverage, within_log
 from comparisons.checks.grade import Graded, Likeness
 from comparisons.checks.verdict import Outcome
@@ -36,7 +37,8 @@ class ExternalCheck(Shown):
         optimum: The smoother at the given times.
         peers: Correct estimates of the kinds that the given one may be.
         by_peer: The given one beside each of these.
-        variants: Other sound filters that it was compared with; none where it equals a peer.
+        motion: Of all of it, without which it equals one of these; None where there is none.
+        variants: Other sound filters that it may be like; none where it equals a peer.
         agreement: The estimate against the smoother.
         coverage: Share of the log's time that it covers.
         trace: The filter's own gaps, where it handed in a trace.
@@ -61,6 +63,7 @@ class ExternalCheck(Shown):
     optimum: Reference
     peers: tuple[Reference, ...]
     by_peer: tuple[Likeness, ...]
+    motion: UndoneMotion | None
     variants: tuple[Reference, ...]
     agreement: ExternalAgreement
     coverage: TimeCoverage

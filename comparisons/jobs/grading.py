@@ -17,7 +17,13 @@ from comparisons.checks import causes as cause
 from comparisons.checks.agreement import Allowed, Gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
-from comparisons.checks.diagnosis.estimate_facts import Clues
+from comparisons.checks.diagnosis.diagnosis import FEWEST
+from comparisons.checks.diagnosis.estimate_facts import (
+    Clues,
+    UndoneMotion,
+    paths_beside,
+    undone_motions,
+)
 from comparisons.checks.estimate_verdict import (
     beside_trace,
     causes_of,
@@ -43,6 +49,7 @@ from comparisons.checks.verdict import Outcome
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
 from comparisons.estimates.reference import Reference
+from comparisons.fingerprints.sound_variants import variants_near
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
@@ -120,12 +127,14 @@ class _References:
     """What an estimate is compared with, and how near it is to each.
 
     optimum: the smoother. peers: estimates of the kinds that it may be. by_peer: it beside each.
-    variants: other sound filters. nearest: of all. clues: what else its poses may be.
+    motion: without which it equals a peer; None where there is none. variants: other sound filters.
+    nearest: of all. clues: what else its poses may be.
     """
 
     optimum: Reference
     peers: tuple[Reference, ...]
     by_peer: tuple[Likeness, ...]
+    motion: UndoneMotion | None
     variants: tuple[Reference, ...]
     nearest: Likeness | None
     clues: Clues
@@ -154,7 +163,7 @@ def check_external(
     followed = trace_run(given, prepared) if sound_trace else None
     with prepared.clock.stage("references"):
         progress("references", 0, 0)
-        beside = _references(inside, solution, filters or SoundFilters(prepared))
+        beside = _references(given, inside, solution, filters or SoundFilters(prepared))
     progress("check", 0, 0)
     agreement = compare_external(inside, beside.optimum, beside.peers, labelled=prepared.labelled)
     expected: RequiredGrade = "like" if given.estimator == "ekf" else "plausible"
@@ -194,6 +203,7 @@ def check_external(
         optimum=beside.optimum,
         peers=beside.peers,
         by_peer=beside.by_peer,
+        motion=beside.motion,
         variants=beside.variants,
         agreement=agreement,
         coverage=covered,
@@ -241,44 +251,94 @@ def _with_outcome(check: ExternalCheck, unlike: list[Cause]) -> ExternalCheck:
     return replace(check, grade=grade, outcome=outcome, causes=causes, remarks=remarks)
 
 
-def _references(given: ExternalEstimate, solution: Solution, filters: SoundFilters) -> _References:
-    """Sound estimates at an estimate's times, which lie in the log's.
+def _references(
+    given: ExternalEstimate, inside: ExternalEstimate, solution: Solution, filters: SoundFilters
+) -> _References:
+    """Sound estimates at an estimate's times. inside: its poses in the log's time.
 
     Of a log with loop closures no filter is a peer, for none of ours uses these.
     """
-    time_s, labelled = given.time_s, solution.prepared.labelled
-    optimum = smoother(solution, time_s)
-    smoothed = optimum.pose, optimum.pose_covariance
-    closed, ekf = solution.log.loop_closures is not None, None
-    if given.may_be("filtered") and not closed:
-        ekf = filters.ekf(time_s)
-    peers: tuple[Reference, ...] = () if ekf is None else (ekf[0],)
-    if given.may_be("smoothed"):
-        peers += (optimum,)
-    by_peer = tuple(likeness(given, one, labelled=labelled) for one in peers)
-    others: tuple[Reference, ...] = ()
-    if ekf is not None and _asks_for_variants(by_peer):
-        others = filters.variants(time_s)
+    time_s, labelled = inside.time_s, solution.prepared.labelled
+    peers = _peers(inside, solution, filters)
+    optimum = peers[-1] if peers and peers[-1].smoothed else smoother(solution, time_s)
+    by_peer = tuple(likeness(inside, one, labelled=labelled) for one in peers)
+    ekf = None if not peers or peers[0].smoothed else filters.ekf(time_s)
+    motion = _motion(given, inside, by_peer, optimum, solution, filters)
+    nearest: Likeness | None = None
+    for near in by_peer:
+        nearest = nearer(nearest, near)
+    others = list[Reference]()
+    if ekf is not None and motion is None and asks_for_variants(by_peer):
+        for other in variants_near(inside, by_peer[0], filters):
+            others.append(other)
+            nearest = nearer(nearest, likeness(inside, other, labelled=labelled))
+            if nearest.grade == "equal":
+                break
 
     def filtered() -> tuple[Array, Array] | None:
         run = ekf or filters.ekf(time_s)
         return run and (run[0].pose, run[0].pose_covariance)
 
-    nearest: Likeness | None = None
-    for near in (*by_peer, *(likeness(given, one, labelled=labelled) for one in others)):
-        nearest = nearer(nearest, near)
+    closed = solution.log.loop_closures is not None
+    smoothed = optimum.pose, optimum.pose_covariance
     return _References(
         optimum=optimum,
         peers=peers,
         by_peer=by_peer,
-        variants=others,
+        motion=motion,
+        variants=tuple(others),
         nearest=nearest,
         clues=Clues(before=ekf and ekf[1], smoothed=smoothed, filtered=filtered, closed=closed),
     )
 
 
-def _asks_for_variants(by_peer: tuple[Likeness, ...]) -> bool:
-    """Whether an estimate is neither equal to a peer, the first a filter, nor hopeless."""
+def _peers(
+    inside: ExternalEstimate, solution: Solution, filters: SoundFilters
+) -> tuple[Reference, ...]:
+    """Sound estimates of the kinds that one in the log's time may be, at its times."""
+    time_s, peers = inside.time_s, list[Reference]()
+    if inside.may_be("filtered") and solution.log.loop_closures is None:
+        ekf = filters.ekf(time_s)
+        peers += [] if ekf is None else [ekf[0]]
+    if inside.may_be("smoothed"):
+        peers.append(smoother(solution, time_s))
+    return tuple(peers)
+
+
+def _motion(
+    given: ExternalEstimate,
+    inside: ExternalEstimate,
+    by_peer: tuple[Likeness, ...],
+    optimum: Reference,
+    solution: Solution,
+    filters: SoundFilters,
+) -> UndoneMotion | None:
+    """The motion of all of an estimate without which it equals a peer; None where there is none.
+
+    inside, by_peer, optimum: as of `_references`. None where there is a trace, which says how its
+    filter moved.
+    """
+    if given.trace is not None or any(near.grade is not None for near in by_peer):
+        return None
+    if not by_peer or np.count_nonzero(by_peer[0].reference.known) < FEWEST:
+        return None
+    begin_s, end_s = solution.estimate.time_s[[0, -1]]
+    paths = paths_beside(inside, by_peer[0].reference, optimum.pose)
+    for one in undone_motions(given, paths, solution.prepared.timeline.instants_s()):
+        time_s = one.given.time_s
+        moved = with_poses(one.given, (time_s >= begin_s) & (time_s <= end_s))
+        peers = _peers(moved, solution, filters) if len(moved.time_s) >= FEWEST else ()
+        for peer in peers:
+            near = likeness(moved, peer, labelled=solution.prepared.labelled)
+            if near.grade == "equal" and np.count_nonzero(peer.known) >= FEWEST:
+                return one
+    return None
+
+
+def asks_for_variants(by_peer: tuple[Likeness, ...]) -> bool:
+    """Return whether an estimate is neither equal to a peer, the first a filter, nor hopeless."""
+    if not by_peer or by_peer[0].reference.smoothed:
+        return False
     equal = any(near.grade == "equal" for near in by_peer)
     return not equal and ROUNDING < by_peer[0].sigma < _HOPELESS_SIGMA
 

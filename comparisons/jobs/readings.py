@@ -2,9 +2,10 @@
 
 In: the check of an estimate that does not agree; out: readings of it, by kind, the simplest first.
 A reading may be another log (labels from the estimate's map, measurements left out, another
-integration of steps), another estimate (a motion of the whole undone), or another filter beside it
-(its sigma points, a fault, the spread of sound filters). `comparisons.jobs.check` decides which is
-taken. `stated` and `integrated` give the grade as clock, trace and steps say, before any of these.
+integration of steps), another estimate (a motion of the whole undone), another filter beside it
+(its sigma points, a fault, the spread of sound filters), or other edges of a graph that it is the
+optimum of. `comparisons.jobs.check` decides which is taken. `stated` and `integrated` give the
+grade as clock, trace and steps say, before any of these.
 """
 
 from __future__ import annotations
@@ -19,14 +20,8 @@ import numpy as np
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.checks.algebra import HINT as ALGEBRA_HINT
 from comparisons.checks.causes import FILTER_FAULTS
-from comparisons.checks.diagnosis.diagnosis import (
-    MOTIONS,
-    PathMotion,
-    PathTransform,
-    frame_at_start,
-    simplest_motion,
-)
-from comparisons.checks.diagnosis.estimate_facts import paths_beside, undone
+from comparisons.checks.diagnosis.diagnosis import MOTIONS
+from comparisons.checks.diagnosis.estimate_facts import UndoneMotion, paths_beside, undone_motions
 from comparisons.checks.diagnosis.model_differences import PREDICTIONS
 from comparisons.checks.external_agreement import within_log
 from comparisons.checks.grade import (
@@ -41,6 +36,9 @@ from comparisons.checks.grade import (
 from comparisons.checks.model import HINT as MODEL_HINT
 from comparisons.checks.spread import within_spread
 from comparisons.estimates.external import ExternalEstimate, with_poses
+from comparisons.estimates.reference import Reference
+from comparisons.explain.disagreement import MOST_EDGES
+from comparisons.explain.other_optima import other_optimum
 from comparisons.faults.catalogue import is_setting
 from comparisons.fingerprints.clock import on_log_clock
 from comparisons.fingerprints.data_use import (
@@ -62,7 +60,7 @@ from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.external_trace import TraceCheck, trace_run
-from comparisons.jobs.grading import Grader
+from comparisons.jobs.grading import Grader, asks_for_variants
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration
 from comparisons.logs.stamps import at_instants
@@ -148,29 +146,30 @@ class MotionReading(Reading):
     """
 
     first: ExternalCheck
-    given: ExternalEstimate
-    motion: PathMotion
+    undone: UndoneMotion
 
     def apply(self, grader: Grader) -> ExternalCheck:
         """Return the grade of what is left, by steps of its own."""
-        grader, check = stated(grader, self.given)
-        return integrated(grader, check, ORDERS)
+        grader, check = stated(grader, self.undone.given)
+        return check if check.exact else integrated(grader, check, ORDERS)
 
     def reported(self, check: ExternalCheck) -> ExternalCheck | None:
         """Return the first check with the motion as its first cause, if a filter or S is near."""
-        near, motion = check.grade.by, self.motion
+        near, motion = check.grade.by, self.undone.motion
         if near is None:
             return None
         then = "the rest of the difference has the next cause"
-        if check.outcome == "agree" and check.grade.value == "plausible":
-            then = "the estimate is plausible beside the smoother"
-        elif check.outcome == "agree":
-            equal = "equals" if check.grade.value == "equal" else "is like"
+        if near.grade == "equal" or (check.outcome == "agree" and near.grade == "like"):
+            equal = "equals" if near.grade == "equal" else "is like"
             then = f"the estimate {equal} {near.reference.name} ({near.farthest:.2g} sigma)"
+        elif check.outcome == "agree":
+            then = "the estimate is plausible beside the smoother"
         said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
+        left = [motion.gap, *(one.gap for one in check.causes)]
         return replace(
             self.first,
             causes=(said, *check.causes),
+            consequences=tuple(one.gap for one in self.first.causes if one.gap not in left),
             remarks=check.remarks,
             reproduced=check.reproduced,
         )
@@ -225,6 +224,12 @@ def _left_out_by_trace(grader: Grader, placed: ExternalEstimate) -> LeftOut | No
     return left_out_of(grader.log, trace_run(placed, grader.prepared)[0])
 
 
+def moved_back(grader: Grader, first: ExternalCheck, motion: UndoneMotion) -> ExternalCheck | None:
+    """Return the check with a motion of all of an estimate as its first cause."""
+    reading = MotionReading(first, motion)
+    return reading.reported(reading.apply(grader))
+
+
 def integrated(grader: Grader, first: ExternalCheck, filters: Iterable[str]) -> ExternalCheck:
     """Return the check with the estimate's own integration of steps, where that is not the log's.
 
@@ -253,7 +258,7 @@ def _of_integrations(
 
 def _by_other_filters(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
     """Another integration of steps, in any filter that the references have."""
-    if not first.variants:
+    if not asks_for_variants(first.by_peer):
         return
     prepared, near = first.solution.prepared, first.grade.by
     if others := integrations_of(first.inside, prepared, near, FILTERS):
@@ -322,25 +327,45 @@ def _with_fault(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
     if words := _without_effect(known[0], sound, first):
         yield FilterReading(words, _as_near(first, replace(sound, grade="like")))
         return
-    nearest, others, follow = known[0], first.causes, tuple[str, ...]()
-    if nearest.exact:
-        others = tuple(one for one in others if one.gap in FILTER_FAULTS)
+    nearest, follow = known[0], tuple[str, ...]()
+    others = tuple(one for one in first.causes if one.gap in FILTER_FAULTS)
     if nearest.whole:  # the same poses, landmarks and covariances, so all that differs from sound
         others = tuple(_following(one) for one in others)
         follow = tuple(one.gap for one in first.causes if one.gap in ("estimate", "covariance"))
-    causes = (fault_cause(known, sound), *others)
+    causes = (fault_cause(nearest, sound), *others)
     check = replace(first, causes=causes, consequences=follow, reproduced=nearest.whole)
+    yield FilterReading("", check)
+
+
+def _by_other_edges(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
+    """The graph with other edges, of which the estimate is the optimum, if there are any."""
+    solution, given = first.solution, first.inside
+    problem, time_s = solution.result.problem, solution.estimate.time_s
+    known = bool(first.causes) and first.causes[0].gap == "data"  # the odometry alone
+    if known or solution.log.loop_closures is None or len(given.time_s) != len(time_s):
+        return
+    edges = len(problem.steps) + len(problem.loop_closures.first)
+    if edges > MOST_EDGES or np.abs(given.time_s - time_s).max() > CLOCK_S:
+        return
+    grader.progress("other edges", 0, 0)
+    optimum = other_optimum(problem, given.pose)
+    if optimum is None:
+        return
+    cause = Cause("fault", str(optimum), "correct this in the optimiser")
+    follow = tuple(dict.fromkeys(one.gap for one in first.causes))
+    check = replace(first, causes=(cause,), consequences=follow, reproduced=True)
     yield FilterReading("", check)
 
 
 def _of_spread(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
     """The sound filters, if the estimate is as near to one as they are to each other."""
-    near = _filter_like(first)
+    near, labelled = _filter_like(first), first.solution.prepared.labelled
     if near is None:
         return
-    filters = (*first.peers, *first.variants)
-    sound = [one for one in filters if not one.smoothed and one.name not in APART]
-    if not within_spread(near, sound, labelled=first.solution.prepared.labelled):
+    sound = [one for one in sound_filters(grader, first) if one.name not in APART]
+    for one in sound:
+        near = nearer(near, likeness(first.inside, one, labelled=labelled))
+    if not within_spread(near, sound, labelled=labelled):
         return
     words = (
         f"the estimate is up to {near.sigma:.2g} sigma from {near.reference.name}, its nearest, "
@@ -349,7 +374,14 @@ def _of_spread(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
     yield FilterReading(words, _as_near(first, replace(near, grade="like")))
 
 
-def _moved_back(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
+def sound_filters(grader: Grader, check: ExternalCheck) -> list[Reference]:
+    """Return the sound filters beside an estimate, whole: peers, variants, all others."""
+    others = grader.filters(check.solution).variants(check.inside.time_s)
+    filters = {one.name: one for one in (*check.peers, *check.variants, *others)}
+    return [one for one in filters.values() if not one.smoothed]
+
+
+def _by_motion(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
     """The estimate without the simplest motion of all of it, and without another frame alone.
 
     None where there is a trace, which says how its filter moved.
@@ -358,22 +390,10 @@ def _moved_back(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
         return
     if first.causes and first.causes[0].gap in MOTIONS:
         return
-    beside = paths_beside(first.inside, first.peers[0], first.optimum.pose)
-    path, motion = simplest_motion(beside)
-    if motion.moved == PathTransform():
-        return
-    yield _without_motion(first, motion)
-    if motion.gap == "frame" or motion.moved.yaw_rad:
-        yield _without_motion(first, frame_at_start(path, motion))
-
-
-def _without_motion(first: ExternalCheck, motion: PathMotion) -> MotionReading:
-    """The estimate without a motion, whose delay leads to instants of the log."""
+    paths = paths_beside(first.inside, first.peers[0], first.optimum.pose)
     instants_s = first.solution.prepared.timeline.instants_s()
-    other = undone(first.given, motion.moved, instants_s)
-    delay_s = float(np.median(first.given.time_s - other.time_s))
-    motion = replace(motion, moved=motion.moved._replace(delay_s=delay_s))
-    return MotionReading(first, other, motion)
+    for undone in undone_motions(first.given, paths, instants_s):
+        yield MotionReading(first, undone)
 
 
 def _beside(check: ExternalCheck, near: Likeness) -> ExternalCheck:
@@ -396,7 +416,7 @@ def _filter_like(check: ExternalCheck) -> Likeness | None:
     """
     near, traced = check.grade.by, check.trace
     faulty = traced is not None and any(one.gap in FILTER_FAULTS for one in traced.verdict.causes)
-    if faulty or near is None or near.reference.smoothed or not check.variants:
+    if faulty or near is None or near.reference.smoothed or not asks_for_variants(check.by_peer):
         return None
     return None if check.coverage.short else near
 
@@ -462,6 +482,7 @@ _WITHOUT_SOME = ReadingKind(_without_some)
 _SPREAD = ReadingKind(_of_spread)
 FAULT = ReadingKind(_with_fault)
 _OF_ALL_AS_IT_IS = (
+    ReadingKind(_by_other_edges),
     ReadingKind(_by_map, beside=(_WITHOUT_SOME,)),
     _WITHOUT_SOME,
     ReadingKind(_of_sigma_points),
@@ -469,6 +490,6 @@ _OF_ALL_AS_IT_IS = (
     _SPREAD,
     ReadingKind(_by_other_filters, beside=(_SPREAD,)),
 )
-MOTION = ReadingKind(_moved_back, beside=_OF_ALL_AS_IT_IS)
+MOTION = ReadingKind(_by_motion, beside=_OF_ALL_AS_IT_IS)
 READINGS = (*_OF_ALL_AS_IT_IS, MOTION)
 """The simplest first: the estimate as it is, then the same once it is moved."""

@@ -37,7 +37,7 @@ from ekf_reference.core.ekf import Ekf
 
 EKF = "the reference EKF"
 ONE_BY_ONE = "an EKF with sequential (one landmark at a time) updates"
-_VARIANTS: dict[str, type[Ekf]] = {
+VARIANTS: dict[str, type[Ekf]] = {
     "an iterated EKF": IteratedEkf,
     ONE_BY_ONE: SequentialEkf,
     f"{ONE_BY_ONE}, last first": BackwardEkf,
@@ -54,20 +54,20 @@ _VARIANTS: dict[str, type[Ekf]] = {
     "an unscented Kalman filter": UnscentedEkf,
     "an unscented Kalman filter with wide sigma points": WideUnscentedEkf,
 }
-FILTERS = (EKF, *_VARIANTS)
+FILTERS = (EKF, *VARIANTS)
 ORDERS = {EKF: ""} | {
     name: name.replace("an EKF with", "it has")
-    for name, kind in _VARIANTS.items()
+    for name, kind in VARIANTS.items()
     if kind in (SequentialEkf, BackwardEkf)
 }
 """The same filter but for the order of updates, and that in words."""
 APART = tuple(
-    name for name, kind in _VARIANTS.items() if issubclass(kind, RobocentricEkf | NewFirstEkf)
+    name for name, kind in VARIANTS.items() if issubclass(kind, RobocentricEkf | NewFirstEkf)
 )
 """Sound, but farther from the others than most faults are."""
 KINDS = tuple(
     name
-    for name, kind in _VARIANTS.items()
+    for name, kind in VARIANTS.items()
     if issubclass(kind, IteratedEkf | FirstEstimatesEkf | InvariantEkf | UnscentedEkf)
 )
 """Of these, filters of other equations that strangers write."""
@@ -105,16 +105,24 @@ class SoundFilters:
             self._ekf[times] = reference_ekf(self._prepared, time_s)
         return self._ekf[times]
 
-    def named(self, name: str, time_s: Array) -> Reference | None:
-        """Return the filter of a name at times (K,); None where it breaks down."""
+    def named(
+        self,
+        name: str,
+        time_s: Array,
+        started: Callable[[Ekf], FilterObserver] | None = None,
+    ) -> Reference | None:
+        """Return the filter of a name at times (K,); None where it breaks down.
+
+        started: as of `run_reference`. What it raises ends the run, of which nothing is kept.
+        """
         key = name, time_s.tobytes()
         if key not in self._others:
-            self._others[key] = filter_named(name, self._prepared, time_s)
+            self._others[key] = filter_named(name, self._prepared, time_s, started)
         return self._others[key]
 
     def variants(self, time_s: Array) -> tuple[Reference, ...]:
         """Return all others than the reference EKF at times (K,) that do not break down."""
-        filters = (self.named(name, time_s) for name in _VARIANTS)
+        filters = (self.named(name, time_s) for name in VARIANTS)
         return tuple(one for one in filters if one is not None)
 
 
@@ -149,7 +157,7 @@ def filter_named(
 
     started: as of run_reference.
     """
-    return filter_of(name, _VARIANTS.get(name, Ekf), prepared, time_s, started)
+    return filter_of(name, VARIANTS.get(name, Ekf), prepared, time_s, started)
 
 
 def filter_of(

@@ -399,8 +399,8 @@ def check_ladder(result: CheckResult) -> list[LadderStep]:
     are two: from the estimate to the nearest reference, and to the smoother.
     """
     failed = {cause.gap for cause in result.causes}
+    verified = result.smoother.verified
     if result.trace is not None:
-        verified = result.smoother.verified
         *steps, last = gap_steps(result.trace, failed, verified=verified, first=EXTERNAL)
         near = last.sigma is not None and last.sigma <= LARGEST_DISTANCE
         return [*steps, replace(last, judged=last.judged and (near or last.fails))]
@@ -408,14 +408,15 @@ def check_ladder(result: CheckResult) -> list[LadderStep]:
     sigma = max((one.distance_sigma for one in blocks), default=None)
     limit = largest_distance(len(result.landmarks), POINT.width)
     near = sigma is None or sigma <= limit
+    is_far = verified and not near and result.verdict == "disagree"  # whatever explains it
     to_smoother = LadderStep(
         gap="optimum",
         above=EXTERNAL,
         below=SMOOTHER,
         sigma=sigma,
         error_m=result.rms_m,
-        fails="optimum" in failed,
-        judged=result.smoother.verified and (near or result.grade == "plausible"),
+        fails="optimum" in failed or is_far,
+        judged=verified and (near or result.grade == "plausible"),
         limit=limit,
     )
     return [*_reference_steps(result), to_smoother]

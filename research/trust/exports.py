@@ -13,8 +13,8 @@ from comparisons.arrays import Array
 from comparisons.checks.grade import joint_rows
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.faults.catalogue import catalogue, families
-from comparisons.faults.fault import Fault, Feed
+from comparisons.faults.fault import Feed
+from comparisons.faults.tried import TriedFaults
 from comparisons.logs.log import LandmarkMeasurements, Log
 from graphslam.scan import planar
 from research.script import present
@@ -242,14 +242,13 @@ EXPORTS: dict[str, Export] = {
 
 
 def planted(words: str, number: float | None = None) -> Feed:
-    """A fault of the catalogue by how its words begin, or one of those with a number."""
+    """A fault that is searched for, by how its words begin, or one of those with a number."""
 
     def feed(log: Log) -> Log:
         if number is None:
-            fault: Fault = next(one for one in catalogue(log) if one.what.startswith(words))
+            fault = TriedFaults(log).named(words)
         else:
-            family = next(one for one in families(log) if one.what.startswith(words))
-            fault = family.member(number)
+            fault = TriedFaults(log).family(words).member(number)
         return present(fault.feed)(log)
 
     return feed
@@ -267,7 +266,7 @@ FEEDS: dict[str, Feed] = {
     "Q 3 times": planted("the controls' part of Q is", 3.0),
     "Q a third": planted("the controls' part of Q is", 1.0 / 3.0),
     "every second measurement left out": planted(
-        "every second measurement is left out, the second"
+        "of the measurements every second, from the second on, is left out"
     ),
     "one landmark ignored": kept(lambda seen: seen.landmark != seen.landmark.min()),
     "measurements of the last 5 s left out": kept(lambda seen: seen.time_s < seen.time_s[-1] - 5.0),

@@ -17,7 +17,7 @@ from comparisons.checks.diagnosis.model_differences import ModelDifference
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Plant, observing
-from comparisons.faults.models import FAULTS, expected_wrapped, gx_times, h_times
+from comparisons.faults.models import FAULTS, gx_times, h_times
 from comparisons.jobs import external_trace
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.grading import check_external
@@ -158,6 +158,13 @@ def wrapped(trace: TraceArrays) -> TraceArrays:
         measurements={**trace.measurements, POINT: replace(seen, pose=short(seen.pose))},
         initialisations={**trace.initialisations, POINT: replace(new, pose=short(new.pose))},
     )
+
+
+def expected_wrapped(own: Any, z: Array, predicted: Array) -> Array:
+    """Off by a turn where expected and measured bearing lie on either side of the cut."""
+    wrapped = predicted.copy()
+    wrapped[..., 1] = np.angle(np.exp(1j * predicted[..., 1]))
+    return z - wrapped
 
 
 NOT_WRAPPED = observing(innovation=expected_wrapped)

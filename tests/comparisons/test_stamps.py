@@ -23,7 +23,7 @@ from comparisons.estimates.trace_file import TRACE
 from comparisons.fingerprints.clock import works_with_floats, written_from_floats
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.grading import Grader
-from comparisons.jobs.readings import MOTION, READINGS, stated
+from comparisons.jobs.readings import FAULT, MOTION, READINGS, stated
 from comparisons.logs import stamps
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
@@ -282,7 +282,7 @@ def test_a_wrong_filter_leaves_where_its_fault_is(
         solved.append(grader.log.name)
         return stated(grader, given)
 
-    as_it_is = [kind for kind in READINGS if kind != MOTION]
+    as_it_is = [kind for kind in READINGS if kind not in (MOTION, FAULT)]
     monkeypatch.setattr("comparisons.jobs.check.READINGS", as_it_is)
     monkeypatch.setattr("comparisons.jobs.check.stated", counted)
     found = since_1970(log, tmp_path / "mine", whole=whole, traced=traced, kind=RANGES)

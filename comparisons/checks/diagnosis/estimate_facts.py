@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,15 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import at_others
 from comparisons.checks.diagnosis import covariance_signatures as signatures
-from comparisons.checks.diagnosis.diagnosis import Diagnosis, Paths, PathTransform, diagnose
+from comparisons.checks.diagnosis.diagnosis import (
+    Diagnosis,
+    PathMotion,
+    Paths,
+    PathTransform,
+    diagnose,
+    frame_at_start,
+    simplest_motion,
+)
 from comparisons.checks.grade import (
     LIKE_SIGMA,
     LIKE_VARIANCE,
@@ -109,6 +118,34 @@ def paths_beside(given: ExternalEstimate, reference: Reference, smoothed: Array)
     return [
         Paths(time_s, given.pose[at], other[at], covariance, name) for name, other in others.items()
     ]
+
+
+class UndoneMotion(NamedTuple):
+    """A motion of all of an estimate, and the estimate without it."""
+
+    motion: PathMotion
+    given: ExternalEstimate
+
+
+def undone_motions(
+    given: ExternalEstimate, paths: list[Paths], instants_s: Array
+) -> Iterator[UndoneMotion]:
+    """Yield the simplest motion of all of an estimate, and another frame alone; none where neither.
+
+    A delay is one that leads to instants (J,) of the log. paths: as of `paths_beside`.
+    """
+    nearest, motion = simplest_motion(paths)
+    if motion.moved == PathTransform():
+        return
+    yield _without(given, motion, instants_s)
+    if motion.gap == "frame" or motion.moved.yaw_rad:
+        yield _without(given, frame_at_start(nearest, motion), instants_s)
+
+
+def _without(given: ExternalEstimate, motion: PathMotion, instants_s: Array) -> UndoneMotion:
+    other = undone(given, motion.moved, instants_s)
+    delay_s = float(np.median(given.time_s - other.time_s))
+    return UndoneMotion(replace(motion, moved=motion.moved._replace(delay_s=delay_s)), other)
 
 
 def undone(given: ExternalEstimate, moved: PathTransform, instants_s: Array) -> ExternalEstimate:

@@ -226,12 +226,14 @@ def _alike(tested: TestedLog, fits: Sequence[LogFit], least: float = np.inf) -> 
 
 
 def _deviance(tested: TestedLog, fit: LogFit) -> float:
-    """Chi-square, and what the odometry's noise adds, of which a correction makes another one.
+    """Chi-square, what the odometry's noise adds, of which a correction makes another, and numbers.
 
-    That of a car's turns grows with the speed, so that speeds in mm/s are held by nothing.
+    The noise of a car's turns grows with the speed, so that speeds in mm/s are held by nothing. A
+    number costs the logarithm of the degrees of freedom, as in Schwarz's criterion.
     """
     problem, stated = fit.solved.goodness.problem, tested.solved.goodness.problem
-    return fit.chi2 + len(problem.steps) * (_log_noise(problem) - _log_noise(stated))
+    noise = len(problem.steps) * (_log_noise(problem) - _log_noise(stated))
+    return fit.chi2 + noise + len(fit.numbers) * float(np.log(max(tested.test.dof, 1)))
 
 
 def _log_noise(problem: SlamProblem) -> float:

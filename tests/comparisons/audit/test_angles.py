@@ -9,15 +9,12 @@ import pytest
 from comparisons.arrays import Array
 from comparisons.audit.audit import Audit, audit
 from comparisons.trace.recorder import Recorder
+from ekf_reference.core.geometry import wrap_angle
 
 F = np.array([[1.0, 0.1], [0.0, 1.0]])
 Q = 1e-4 * np.eye(2)
 ROUND = "mean of angles on both sides of +-pi"
 Mean = Callable[[Array, Array], Array]
-
-
-def wrapped(angle: Array) -> Array:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def on_the_line(weight: Array, angle: Array) -> Array:
@@ -26,7 +23,7 @@ def on_the_line(weight: Array, angle: Array) -> Array:
 
 
 def on_the_circle(weight: Array, angle: Array) -> Array:
-    return np.asarray(angle[0] + weight @ wrapped(angle - angle[0]))
+    return np.asarray(angle[0] + weight @ wrap_angle(angle - angle[0]))
 
 
 class Compass:
@@ -58,10 +55,10 @@ class Compass:
                 points = np.vstack((x, x + root, x - root))
                 read = points @ self.h.T
                 expected = self.weight @ read
-                expected[angle] = mean(self.weight, wrapped(read[:, angle]))
+                expected[angle] = mean(self.weight, wrap_angle(read[:, angle]))
                 apart, residual = read - expected, z - expected
                 apart[:, angle], residual[angle] = (
-                    wrapped(one) for one in (apart[:, angle], residual[angle])
+                    wrap_angle(one) for one in (apart[:, angle], residual[angle])
                 )
                 s = apart.T @ (self.weight[:, None] * apart) + self.r
                 gain = (points - x).T @ (self.weight[:, None] * apart) @ np.linalg.inv(s)

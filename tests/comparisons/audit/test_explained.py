@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.stats import multivariate_normal
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
+from comparisons.audit.explained import explained_innovations
 from comparisons.audit.replay import BlockLayout, Replay
 from comparisons.explain.noises import (
     NoiseFactor,
@@ -19,7 +21,15 @@ from comparisons.explain.noises import (
     readings,
     with_noises,
 )
-from comparisons.explain.offsets import Offset, OffsetSlot, offset_slots, without_offsets
+from comparisons.explain.offsets import (
+    AHEAD,
+    LEFT,
+    MOVES,
+    Offset,
+    OffsetSlot,
+    offset_slots,
+    without_offsets,
+)
 from comparisons.explain.recorded_steps import RecordedStep, steps_of
 from comparisons.explain.scores import Slot, likelihood_slopes
 from comparisons.trace.events import Augment, Event, Predict, TracePrior, Update
@@ -68,6 +78,15 @@ EVERYTHING: tuple[Event, ...] = (
            covariance(1, 0.3), False, None, None),
 )  # fmt: skip
 """Whatever the corrections were: they are drawn."""
+WITH_MOVES: tuple[Event, ...] = tuple(
+    one._replace(
+        point=RNG.standard_normal(len(one.jacobian)), after=RNG.standard_normal(len(one.jacobian))
+    )
+    if isinstance(one, Predict)
+    else one
+    for one in EVERYTHING
+)
+"""Predictions that say where they lead."""
 
 
 def residuals_of(steps: Sequence[RecordedStep], drawn: Array) -> Array:
@@ -134,8 +153,9 @@ def slopes_of(steps: Sequence[RecordedStep], slots: Sequence[Slot]) -> Array:
     return np.array(slopes)
 
 
-def test_slopes_are_those_of_the_likelihood() -> None:
-    steps = list(steps_of(EVERYTHING))
+@pytest.mark.parametrize("events", [EVERYTHING, WITH_MOVES])
+def test_slopes_are_those_of_the_likelihood(events: Sequence[Event]) -> None:
+    steps = list(steps_of(events))
     slots: list[Slot] = [*noise_slots(steps), *offset_slots(steps)]
     assert len(slots) > 12
     slopes = likelihood_slopes(steps, slots, {})
@@ -253,9 +273,10 @@ def test_a_jacobian_that_is_another_is_named(
     assert words in explained.what
 
 
-def test_drawn_slopes_are_as_chance_makes_them() -> None:
+@pytest.mark.parametrize("events", [EVERYTHING, WITH_MOVES])
+def test_drawn_slopes_are_as_chance_makes_them(events: Sequence[Event]) -> None:
     """Of the drawn innovations: those of the filter's own covariance have slopes about zero."""
-    steps = list(steps_of(EVERYTHING))
+    steps = list(steps_of(events))
     slots: list[Slot] = [*noise_slots(steps), *offset_slots(steps)]
     drawn = likelihood_slopes(steps, slots, {}).total[:-1, 1:]
     spread = drawn.std(axis=1) / np.sqrt(drawn.shape[1])
@@ -280,6 +301,66 @@ def test_what_is_not_as_stated_is_named(fault: LinearFault, tmp_path: Path) -> N
     assert explained.fits
     assert fault.is_named(first.fitted)
     assert bool(first.slot.since) == bool(fault.since)
+
+
+def driven(
+    seed: int, *, times: float = 1.0, late_s: float = 0.0, arm: tuple[float, float] = (0.0, 0.0)
+) -> list[Event]:
+    """A filter of a position that is moved by times the true moves, and measured late.
+
+    arm: of what is measured, ahead and to the left.
+    """
+    rng, step_s = np.random.default_rng(seed), 0.1
+    p, q, r, one = 0.01 * np.eye(2), 1e-4 * np.eye(2), 0.04 * np.eye(2), np.eye(2)
+    place = ("place",)
+    truth, estimate = 0.1 * rng.standard_normal(2), np.zeros(2)
+    events: list[Event] = [TracePrior(0, 0.0, place, (2,), p)]
+    for k in range(1, 400):
+        speed = 1.0 + 0.8 * np.sin(0.05 * k)
+        velocity = speed * np.array((np.cos(0.03 * k), np.sin(0.03 * k)))
+        truth = truth + step_s * velocity + 0.01 * rng.standard_normal(2)
+        before, estimate, p = estimate, estimate + times * step_s * velocity, p + q
+        events.append(Predict(len(events), step_s * k, place, one, q, before, estimate))
+        if k % 3:
+            continue
+        ahead = velocity / np.linalg.norm(velocity)
+        measured = truth - late_s * velocity + np.column_stack((ahead, ahead[::-1] * (-1, 1))) @ arm
+        residual = measured + 0.2 * rng.standard_normal(2) - estimate
+        gain = p @ np.linalg.inv(p + r)
+        correction = gain @ residual
+        events.append(Update(len(events), step_s * k, "gps", place, residual, one, r, True,
+                             correction, None, estimate))  # fmt: skip
+        estimate, p = estimate + correction, p - gain @ p
+    return events
+
+
+@pytest.mark.parametrize(
+    ("slot", "made", "value"),
+    [
+        (OffsetSlot("place", -1, True, 0, MOVES, (0, 1)), {"times": 2.0}, -0.5),
+        (OffsetSlot("place", -1, True, 0, MOVES, (0, 1)), {"times": 1.1}, -1.0 + 1.0 / 1.1),
+        (OffsetSlot("gps", -1, False, 0, MOVES), {"late_s": 0.4}, -0.4),
+        (OffsetSlot("gps", -1, False, 0, AHEAD), {"arm": (-0.6, 0.0)}, -0.6),
+        (OffsetSlot("gps", -1, False, 0, LEFT), {"arm": (0.0, 0.3)}, 0.3),
+    ],
+)
+def test_what_goes_with_moves_is_named(
+    slot: OffsetSlot, made: Mapping[str, Any], value: float
+) -> None:
+    """A scale of the motion, a delay of a sensor; broken: the sensor's mean and noise were."""
+    explained = explained_innovations(driven(3, **made), {}, 1e-3, is_off=True)
+    assert explained is not None
+    assert explained.fits
+    (cause,) = explained.causes
+    named = {one.slot: one for one in (cause.fitted, *cause.others)}
+    fitted = named[slot]
+    assert isinstance(fitted, Offset)
+    assert abs(fitted.value - value) < 3.5 * fitted.sigma
+
+
+def test_a_sound_filter_that_moves_is_not_accused() -> None:
+    for seed in range(8):
+        assert explained_innovations(driven(seed), {}, 1e-3, is_off=False) is None
 
 
 def test_what_follows_from_a_cause_is_no_fault_of_its_own(tmp_path: Path) -> None:
