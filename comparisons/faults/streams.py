@@ -25,6 +25,8 @@ from comparisons.logs.transforms.calibration import Line, controlled, delayed, d
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _CONTROLS = ("sigma_speed_mps", "sigma_turn")
 STABILISATION = "the stabilisation noise"
+_LEAST_SIGMA = 1e-7
+"""Of a measurement: smaller ones are refused."""
 _RESOLVED_S = 1e-6
 """Stamps that are closer are of one instant."""
 _LAGS = (1, -1, 2, -2)
@@ -178,17 +180,18 @@ _NOISE_CHANGES: dict[str, Callable[[Any], Any]] = {
 def _with_noise(noise: Noise, change: Callable[[Any], Any], log: Log) -> Log:
     """The log with other variances in some fields."""
 
-    def changed(record: Any) -> Any:
+    def changed_in(record: Any) -> Any:
         made = {}
         for name in noise.fields:
             value = getattr(record, name)
-            made[name] = change(value) if name in _RATES else np.sqrt(change(value**2))
+            changed = change(value) if name in _RATES else np.sqrt(change(value**2))
+            made[name] = np.maximum(changed, _LEAST_SIGMA) if noise in _R else changed
         return replace(record, **made)
 
     if noise in _R:
-        return replace(log, measurements=changed(log.measurements))
+        return replace(log, measurements=changed_in(log.measurements))
     odometry: Any = log.odometry
-    return replace(log, odometry=replace(odometry, noise=changed(odometry.noise)))
+    return replace(log, odometry=replace(odometry, noise=changed_in(odometry.noise)))
 
 
 def _with_factor(noise: Noise, log: Log, factor: float) -> Log:

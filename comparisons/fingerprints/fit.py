@@ -1,8 +1,8 @@
-"""Numbers of faults, fitted together to the first poses of an estimate, as few as explain them."""
+"""Numbers of faults, fitted together to the first poses of an estimate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +18,6 @@ _ROUNDS, STEP, _MOST_STEP = 12, 1e-4, 1.5
 logarithm."""
 _EXPLAINED = 0.7
 """Least share of what is left that a round's numbers explain; beside another fault it is less."""
-_NUMBERS = 3
-"""Most numbers that are fitted together."""
 _FACTORS = (2.0, -2.0, 5.0, -5.0, 8.0)
 _OFFSETS = (0.05, -0.05, 0.3)
 """From the number of no fault, where a fit begins anew: of logarithms, and of what is added."""
@@ -48,9 +46,9 @@ class FaultFit:
         return together(self.base, *kept)
 
     @property
-    def planted(self) -> bool:
-        """Whether one is planted in the filter: another may take its place."""
-        return bool(self.base.plant or any(one.plant for one in self.families))
+    def norm(self) -> float:
+        """Of what is left."""
+        return float(np.linalg.norm(self.left))
 
     def at_numbers(self, at: Array) -> Fault:
         """All of them at once, with other numbers (k,)."""
@@ -65,11 +63,10 @@ class FaultFit:
         """Whether no more than so much is left anywhere."""
         return bool(np.abs(self.left).max() <= enough)
 
-    def with_one(self, family: Family) -> FaultFit:
-        """The same beside another family, as yet without a fault."""
-        return replace(
-            self, families=(*self.families, family), at=np.append(self.at, _neutral(family))
-        )
+
+def unfitted(families: tuple[Family, ...], base: Fault, left: Array) -> FaultFit:
+    """Return a fit whose numbers are those of no fault. left: (n,) what a fault beside leaves."""
+    return FaultFit(base, families, np.array([_neutral(one) for one in families]), left)
 
 
 def starts(family: Family) -> list[float]:
@@ -103,41 +100,6 @@ def settled(fit: FaultFit, remainder: Remainder) -> FaultFit | None:
     return fit
 
 
-def selected(
-    base: Fault, families: Iterable[Family], remainder: Remainder, enough: float = NEAR
-) -> Iterator[FaultFit]:
-    """Yield fits of no number, of one, and so on, beside a fault, until only rounding is left.
-
-    Forward selection: each next number is the one that, with those before it, leaves the least.
-    enough: what rounding leaves.
-    """
-    left = remainder(base)
-    fit = None if left is None else FaultFit(base, (), np.empty(0), left)
-    if left is not None:
-        remainder = _of_length(remainder, len(left))
-    for _ in range(_NUMBERS):
-        if fit is None or fit.near(enough):
-            break
-        yield fit
-        one = _next(fit, families, remainder)
-        fit = None if one is None else settled(fit.with_one(one), remainder)
-    if fit is not None:
-        yield fit
-
-
-def nearest(fit: FaultFit, faults: Iterable[Fault], remainder: Remainder) -> Fault | None:
-    """Return the fault that leaves the least beside the numbers of a fit; None where none helps."""
-    best, least = None, float(np.linalg.norm(fit.left))
-    remainder = _of_length(remainder, len(fit.left))
-    for fault in faults:
-        if fault.plant and fit.planted:
-            continue
-        left = remainder(together(fault, fit.fault))
-        if left is not None and np.linalg.norm(left) < least:
-            best, least = fault, float(np.linalg.norm(left))
-    return best
-
-
 def _of_length(remainder: Remainder, length: int) -> Remainder:
     """What a fault leaves where it is as much as another leaves; else None.
 
@@ -149,22 +111,6 @@ def _of_length(remainder: Remainder, length: int) -> Remainder:
         return left if left is not None and len(left) == length else None
 
     return as_long
-
-
-def _next(fit: FaultFit, families: Iterable[Family], remainder: Remainder) -> Family | None:
-    """The family that leaves the least beside those of a fit, by the derivatives."""
-    slope, best, least = _slope(fit, remainder), None, np.inf
-    for one in families:
-        if slope is None or one in fit.families or (fit.planted and one.plant):
-            continue
-        other = remainder(fit.with_one(one).moved(len(fit.at)))
-        if other is None:
-            continue
-        all_of = np.column_stack((slope, (other - fit.left) / STEP))
-        rest = fit.left + all_of @ -np.linalg.lstsq(all_of, fit.left)[0]
-        if np.linalg.norm(rest) < least:
-            best, least = one, float(np.linalg.norm(rest))
-    return best
 
 
 def _slope(fit: FaultFit, remainder: Remainder) -> Array | None:

@@ -135,9 +135,12 @@ class _Search:
         explained, first = list[Fingerprint](), self.trials[0]
         for done, family in enumerate(every):
             self.progress("fingerprints with a number", done, len(every))
-            if not first.may_fit(family):
+            made = first.screened(family)
+            if not made:
                 continue
             self.fitting.append(family)
+            if not first.may_fit(made):
+                continue
             for trial in self.trials:
                 fit = trial.fitted(family)
                 found = None if fit is None else trial.of(fit.fault).explained
@@ -156,7 +159,8 @@ class _Search:
             trial = self._trial(Way(f"it is {kind}", log, kind))
             explained += filter(None, (trial.of(fault).explained for fault in faults))
             for family in stream_families(log):
-                fit = trial.fitted(family) if trial.may_fit(family) else None
+                made = trial.screened(family)
+                fit = trial.fitted(family) if made and trial.may_fit(made) else None
                 found = None if fit is None else trial.of(fit.fault).explained
                 explained += [] if found is None else [found]
             if any(one.whole for one in explained):
@@ -166,17 +170,24 @@ class _Search:
     def together(self) -> list[Fingerprint]:
         """The faults that explain the estimate only together; none where none do."""
         self.progress("fingerprints together", 0, 0)
+        effects = self.trials[0].effects(self.lasting, self.fitting)
+        if effects is None:
+            return []
         left: list[tuple[FaultTrial, FaultFit]] = []
         for trial in self.trials:
             if any(before.hopeless(fit, trial) for before, fit in left):
                 continue
-            fit = trial.several(self.lasting, self.fitting)
-            if fit is None:
+            fitted = trial.several(effects)
+            if fitted is None:
                 continue
+            fit, faults = fitted
             left.append((trial, fit))
-            found = trial.of(fit.fault).explained if fit.near(trial.least) else None
-            if found is not None:
-                return [found._replace(several=True)]
+            explained = trial.of(fit.fault).explained if fit.near(trial.least) else None
+            if explained is not None:
+                if explained.whole:
+                    others = trial.as_well(faults, explained.fault, _MOST_OTHERS)
+                    explained = explained._replace(others=others)
+                return [explained._replace(several=True)]
         return []
 
 

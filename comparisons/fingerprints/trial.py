@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -28,14 +29,8 @@ from comparisons.fingerprints.companion import (
     remainder,
     remainders,
 )
-from comparisons.fingerprints.fit import (
-    STEP,
-    FaultFit,
-    nearest,
-    selected,
-    settled,
-    starts,
-)
+from comparisons.fingerprints.fault_sets import FaultSet, LinearEffects
+from comparisons.fingerprints.fit import STEP, FaultFit, settled, starts, unfitted
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.clock import file_start
 from comparisons.pipeline.prepared import Prepared
@@ -50,8 +45,6 @@ LEAST_SHARE = 0.5
 sooner is no explanation of the rest."""
 _POSES = 10
 """A number is fitted to the poses until the sound filter leaves the estimate, and so many more."""
-_BESIDE = 2
-"""Numbers beside which a fault without one is looked for: none, and one."""
 _STAMPS, _MOST_BY_STAMPS = 10.0, 1e-3
 """Last places of a stamp since 1970 by which poses may be off, and the most of it in sigma."""
 _JUMP = 1e4
@@ -68,6 +61,9 @@ _SAME_SIDE = 0.75
 _MOST_LEFT = 0.2
 """Share of what is left without a fault, of which a run with it may leave as much in another
 order."""
+_LITTLE, _MOST_LIKE = 0.1, 6
+"""Share of the difference that a set of faults leaves for others like them to be tried, and how
+many of these are."""
 _FAR = 10.0
 """What several faults leave, and so many times more than another order of updates can move."""
 
@@ -253,24 +249,30 @@ class FaultTrial:
             return Trial(found, beside.departure)
         return Trial(None, beside.departure)
 
-    def may_fit(self, family: Family) -> bool:
-        """Whether some number of a family may leave less of the first poses that differ.
+    def screened(self, family: Family) -> list[Array]:
+        """Return what is left of the poses up to the first few that differ, with a small number.
 
-        By the difference that a small number makes: none before the estimate differs, and then in
-        no entry to the other side than in the others.
+        Nothing where it moves a pose before these, or does not reach them.
         """
-        rows = self._neutral_rows
-        if len(rows) < self._count:
-            return False
         early = self.equal_poses
-        if early >= self._count:
-            return False
-        most = [np.abs(one) + STEP * _NO_EFFECT for one in rows[:early]]
-        moved = FaultFit(NONE, (), np.empty(0), np.empty(0)).with_one(family).moved(0)
-        count = min(early + _SCREENED, self._count)
+        if len(self._neutral_rows) < self._count or early >= self._count:
+            return []
+        return self._moved(family, min(early + _SCREENED, self._count))
+
+    def _moved(self, family: Family, count: int) -> list[Array]:
+        """The same of so many poses."""
+        most = [np.abs(one) + STEP * _NO_EFFECT for one in self._neutral_rows[: self.equal_poses]]
+        moved = unfitted((family,), NONE, np.empty(0)).moved(0)
         made = remainders(self._first, count, lambda beside: self._run(moved, beside), most)
-        if len(made) < count:
-            return False
+        return made if len(made) == count else []
+
+    def may_fit(self, made: Sequence[Array]) -> bool:
+        """Whether some number of a family alone may leave less of the first poses that differ.
+
+        By the difference that a small number makes: in no entry to the other side than in the
+        others. made: as `screened` returns it.
+        """
+        rows, early, count = self._neutral_rows, self.equal_poses, len(made)
         pairs = [in_both(*both) for both in zip(rows[early:count], made[early:count], strict=True)]
         left, change = (np.concatenate(one) for one in zip(*pairs, strict=True))
         with np.errstate(all="ignore"):
@@ -310,23 +312,72 @@ class FaultTrial:
         enough = max(self.least, (1.0 - EXPLAINED) * self._first.sound_until(count))
         return settling if settling is not None and settling.near(enough) else None
 
-    def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> FaultFit | None:
-        """Up to three numbers, alone or beside a fault without one, that leave the least together.
+    def effects(self, faults: Sequence[Fault], families: Sequence[Family]) -> LinearEffects | None:
+        """Return what each does alone to the first poses; None where no filter reaches them."""
+        neutral = self.neutral
+        if neutral is None:
+            return None
+        whole = list[tuple[Fault, Array]]()
+        for fault in faults:
+            left = self._left(fault)
+            if left is not None and len(left) == len(neutral):
+                whole.append((fault, left - neutral))
+        slopes = list[tuple[Family, Array]]()
+        for family in families:
+            made = np.concatenate([np.empty(0), *self._moved(family, self._count)])
+            if len(made) == len(neutral):
+                slopes.append((family, (made - neutral) / STEP))
+        return LinearEffects(whole, slopes, len(neutral))
 
-        Without a number is one that leaves the least of the first poses, beside no number or one.
-        None where the filter without a fault does not reach them. What is left only by rounding
-        ends the search.
+    def several(self, effects: LinearEffects) -> tuple[FaultFit, FaultSet] | None:
+        """Return the faults that leave the least of the first poses together, with their set.
+
+        None where no filter reaches them. What is left only by rounding ends the search.
         """
-        tried, bases = [], []
-        for fit in selected(NONE, families, self._left, self.least):
-            tried.append(fit)
-            if len(fit.at) < _BESIDE and not fit.near(self.least):
-                bases.append(nearest(fit, faults, self._left))
-        for base in filter(None, bases):
-            if any(fit.near(self.least) for fit in tried):
+        if self.neutral is None or len(self.neutral) != effects.size:
+            return None
+        best: tuple[FaultFit, FaultSet] | None = None
+        for faults in effects.likely(self.neutral):
+            for fit in self._fits(faults):
+                if best is None or fit.norm < best[0].norm:
+                    best = fit, faults
+                if fit.near(self.least):
+                    return best
+        return best
+
+    def _fits(self, faults: FaultSet) -> Iterator[FaultFit]:
+        """Fits of a set, then, where it leaves little, of those that are nearly the same."""
+        fit = self._settled_set(faults.base, faults.families)
+        if fit is None or self.neutral is None:
+            return
+        yield fit
+        if fit.norm <= _LITTLE * float(np.linalg.norm(self.neutral)):
+            for families in islice(faults.others(), _MOST_LIKE):
+                other = self._settled_set(faults.base, families)
+                if other is not None:
+                    yield other
+
+    def as_well(self, faults: FaultSet, named: str, most: int) -> tuple[str, ...]:
+        """Return sets that reproduce the estimate as one does, with another in a fault's place.
+
+        named: the one, in words.
+        """
+        words = list[str]()
+        for families in faults.others():
+            if len(words) >= most:
                 break
-            tried += selected(base, families, self._left, self.least)
-        return min(tried, key=lambda fit: float(np.linalg.norm(fit.left)), default=None)
+            fit = self._settled_set(faults.base, families)
+            explained = None if fit is None or not fit.near(self.least) else self.of(fit.fault)[0]
+            if explained is not None and explained.whole and explained.fault != named:
+                words.append(explained.fault)
+        return tuple(words)
+
+    def _settled_set(self, base: Fault, families: tuple[Family, ...]) -> FaultFit | None:
+        """The numbers of some families that fit the first poses best beside a fault."""
+        left = self._left(base)
+        if left is None or self.neutral is None or len(left) != len(self.neutral):
+            return None
+        return settled(unfitted(families, base, left), self._left)
 
     def hopeless(self, fit: FaultFit, other: FaultTrial) -> bool:
         """Whether what a fit leaves is far more than what another filter does otherwise."""
@@ -335,7 +386,7 @@ class FaultTrial:
         if len(self.neutral) != len(other.neutral):
             return False
         apart = float(np.linalg.norm(self.neutral - other.neutral))
-        return bool(np.linalg.norm(fit.left) > _FAR * apart)
+        return bool(fit.norm > _FAR * apart)
 
     def _run(self, fault: Fault, beside: FilterObserver) -> Reference | None:
         return filter_with(fault, self.way.name, self.prepared, self.given.time_s, beside)

@@ -1,7 +1,8 @@
 """Faults without a trace: each planted one is named, and a sound filter has none."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from comparisons.faults.catalogue import NAMED, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.faults.tried import TriedFaults
 from comparisons.fingerprints.estimate_motion import integrations_by_steps
-from comparisons.fingerprints.fit import FaultFit, nearest
+from comparisons.fingerprints.fault_sets import LinearEffects
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.trial import (
     LEAST_SHARE,
@@ -227,18 +228,38 @@ def test_a_plant_is_looked_for_beside_numbers_that_are_not_planted(beside: str, 
     def plant(ekf: Ekf) -> None:
         """Nothing is run."""
 
-    faults = [Fault("planted", plant=plant), Fault("fed", feed=lambda log: log)]
+    left = np.array((1.0, 1.0, 1.0))
+    faults = [
+        (Fault("planted", plant=plant), np.array((-1.0, -1.0, 0.1))),
+        (Fault("fed", feed=lambda log: log), np.array((-1.0, -1.0, 0.2))),
+    ]
     number = {
         "fed": Family("a log's number {}", feed=lambda log, number: log),
         "planted": Family("a filter's number {}", plant=lambda number: plant),
     }[beside]
+    slope = np.array((0.1, 0.0, 1.0))
+    first = next(iter(LinearEffects(faults, [(number, slope)], 3).likely(left)))
+    assert (first.base.what, first.families) == (named, (number,))
 
-    def remainder(fault: Fault) -> Array:
-        left = min({"planted": 0.1, "fed": 0.2}.get(one, 1.0) for one in fault.what.split(", and "))
-        return np.full(4, left)
 
-    fit = FaultFit(NONE, (number,), np.array((0.5,)), np.ones(4))
-    assert present(nearest(fit, faults, remainder)).what == named
+def test_sets_of_faults_leave_the_least() -> None:
+    """Of all that there are; a greedy choice begins with one that is in none of the best."""
+    rng = np.random.default_rng(5)
+    slopes = rng.normal(size=(12, 30))
+    left = slopes[[2, 5, 9]].sum(axis=0) + 0.1 * rng.normal(size=30)
+    slopes[0] = left + 0.9 * np.linalg.norm(left) * np.eye(30)[0]
+    families = [Family(f"{{}} {k}", feed=lambda log, number: log) for k in range(12)]
+    effects = LinearEffects([], list(zip(families, slopes, strict=True)), 30)
+
+    def rest(rows: Sequence[int]) -> float:
+        some = slopes[list(rows)].T
+        return float(np.linalg.norm(left - some @ np.linalg.lstsq(some, left)[0]))
+
+    chosen = [tuple(map(families.index, one.families)) for one in effects.likely(left)]
+    for count in (2, 3):
+        best = min(combinations(range(12), count), key=rest)
+        assert next(one for one in chosen if len(one) == count) == best
+    assert min(range(12), key=lambda row: rest([row])) not in best
 
 
 SHIFT_M = np.array((5.0, -3.0, 0.0))
