@@ -61,6 +61,8 @@ _SAME_SIDE = 0.75
 _MOST_LEFT = 0.2
 """Share of what is left without a fault, of which a run with it may leave as much in another
 order."""
+_NO_CHANGE = 1e-9
+"""Share of what is left without a fault by which a fault without an effect may change it."""
 _LITTLE, _MOST_LIKE = 0.1, 6
 """Share of the difference that a set of faults leaves for others like them to be tried, and how
 many of these are."""
@@ -206,7 +208,8 @@ class FaultTrial:
         """Whether a run left by far more than this filter without a fault and another differ by.
 
         Then the same fault in the other filter leaves the estimate as well; not where the run left
-        by little beside what is left without the fault, whose large residuals part both filters.
+        by little beside what is left without the fault, whose large residuals part both filters,
+        and not where it left as without the fault, which may do something in another order only.
         """
         until = slice(departure.row + 1)
         both = list(zip(self._neutral_rows[until], other._neutral_rows[until], strict=False))
@@ -214,6 +217,8 @@ class FaultTrial:
             return False
         without = float(np.abs(self._neutral_rows[departure.row]).max())
         apart = max(float(np.abs(np.subtract(*in_both(*rows))).max()) for rows in both)
+        if abs(departure.distance - without) <= _NO_CHANGE * without:
+            return False
         far = self.least + _FAR * apart
         return departure.distance > max(far, _MOST_LEFT * without)
 
