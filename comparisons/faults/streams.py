@@ -21,12 +21,11 @@ from comparisons.faults.fault import Family, Fault, remembering
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions
 from comparisons.logs.odometry import OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.calibration import Line, controlled, delayed, driven, sensed
+from comparisons.logs.validation import LEAST_SIGMA
 
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _CONTROLS = ("sigma_speed_mps", "sigma_turn")
 STABILISATION = "the stabilisation noise"
-_LEAST_SIGMA = 1e-7
-"""Of a measurement: smaller ones are refused."""
 _RESOLVED_S = 1e-6
 """Stamps that are closer are of one instant."""
 _LAGS = (1, -1, 2, -2)
@@ -185,7 +184,7 @@ def _with_noise(noise: Noise, change: Callable[[Any], Any], log: Log) -> Log:
         for name in noise.fields:
             value = getattr(record, name)
             changed = change(value) if name in _RATES else np.sqrt(change(value**2))
-            made[name] = np.maximum(changed, _LEAST_SIGMA) if noise in _R else changed
+            made[name] = np.maximum(changed, LEAST_SIGMA) if noise in _R else changed
         return replace(record, **made)
 
     if noise in _R:

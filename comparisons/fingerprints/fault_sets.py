@@ -14,7 +14,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.faults.fault import NONE, Family, Fault
 
-MOST_FAULTS = 3
+_MOST_FAULTS = 3
 """Most that are looked for together."""
 _LIKELY = 6
 """So many sets of each size are kept."""
@@ -46,15 +46,11 @@ class FaultSet(NamedTuple):
                 yield (*self.families[:k], other, *self.families[k + 1 :])
 
 
-class _Joined(NamedTuple):
-    """Rows of the fault without a number, -1 where there is none, and of those with one.
+class _Rows(NamedTuple):
+    """Rows of the fault without a number, -1 where there is none, and of those with one."""
 
-    rest: the square of what they leave.
-    """
-
-    rest: float
-    base: int
-    rows: tuple[int, ...]
+    base: int = -1
+    families: tuple[int, ...] = ()
 
 
 class LinearEffects:
@@ -104,72 +100,63 @@ class LinearEffects:
         Args:
             left: (n,) what is left without a fault.
         """
-        joined, beside = [_Joined(np.inf, -1, ())], self._beside(left)
-        for count in range(1, MOST_FAULTS + 1):
+        joined = self._exchanged(left, self._extended(left, [_Rows()]))
+        beside: Iterable[_Rows] = [_Rows(base) for base in range(len(self._faults))]
+        for _ in range(2, _MOST_FAULTS + 1):
             joined = self._exchanged(left, self._extended(left, joined))
-            if count > 1:
-                yield from map(self._named, (*joined, *beside))
-                beside = self._extended(left, beside)
+            beside = self._extended(left, beside)
+            yield from map(self._named, (*joined, *beside))
 
-    def _beside(self, left: Array) -> list[_Joined]:
-        """One without a number, and one with."""
-        bases = [_Joined(np.inf, base, ()) for base in range(len(self._faults))]
-        return self._extended(left, bases)
+    def _extended(self, left: Array, sets: Iterable[_Rows]) -> dict[_Rows, float]:
+        """The likeliest of sets with one more fault that has a number."""
+        return _least({rows: rest for one in sets for rows, rest in self._with_one(left, one)})
 
-    def _extended(self, left: Array, sets: Iterable[_Joined]) -> list[_Joined]:
-        """Those that leave the least of sets with one more fault that has a number."""
-        return _least(one for joined in sets for one in self._with_one(left, joined))
-
-    def _exchanged(self, left: Array, sets: list[_Joined]) -> list[_Joined]:
+    def _exchanged(self, left: Array, sets: dict[_Rows, float]) -> dict[_Rows, float]:
         """Sets of which no member can be given up for another that leaves less."""
         for _ in range(_EXCHANGES):
             smaller = {
-                (one.base, one.rows[:k] + one.rows[k + 1 :])
+                _Rows(one.base, one.families[:k] + one.families[k + 1 :])
                 for one in sets
-                for k in range(len(one.rows))
+                for k in range(len(one.families))
             }
-            others = self._extended(left, (_Joined(np.inf, *one) for one in sorted(smaller)))
-            better = _least([*sets, *others])
-            ended = [one[1:] for one in better] == [one[1:] for one in sets]
-            sets = better
+            better = _least(sets | self._extended(left, sorted(smaller)))
+            ended, sets = list(better) == list(sets), better
             if ended:
                 break
         return sets
 
-    def _with_one(self, left: Array, joined: _Joined) -> Iterator[_Joined]:
-        """The sets of the least that one more makes of a set."""
-        rows = list(joined.rows)
-        if joined.base >= 0:
-            left = left + self._whole[joined.base]
-        basis = np.linalg.qr(self._slope[rows].T)[0]
+    def _with_one(self, left: Array, rows: _Rows) -> Iterator[tuple[_Rows, float]]:
+        """The likeliest sets that one more makes of a set, and the square of what each leaves."""
+        some = list(rows.families)
+        if rows.base >= 0:
+            left = left + self._whole[rows.base]
+        basis = np.linalg.qr(self._slope[some].T)[0]
         rest = left - basis @ (basis.T @ left)
         across = self._slope - (self._slope @ basis) @ basis.T
         square = np.sum(across**2, axis=1)
         useful = square > _ACROSS**2
-        useful[rows] = False
-        if self._is_planted(joined):
+        useful[some] = False
+        if self._is_planted(rows):
             useful &= ~self._planted
         taken = (across @ rest) ** 2 / np.where(useful, square, np.inf)
         for row in np.argsort(-taken, kind="stable")[:_LIKELY]:
             if useful[row]:
-                rows_of_set = tuple(sorted((*joined.rows, int(row))))
-                yield _Joined(float(rest @ rest - taken[row]), joined.base, rows_of_set)
+                families = tuple(sorted((*rows.families, int(row))))
+                yield _Rows(rows.base, families), float(rest @ rest - taken[row])
 
-    def _is_planted(self, joined: _Joined) -> bool:
+    def _is_planted(self, rows: _Rows) -> bool:
         """Whether one is planted in the filter: another may take its place."""
-        base = joined.base >= 0 and self._faults[joined.base].plant is not None
-        return bool(base or self._planted[list(joined.rows)].any())
+        base = rows.base >= 0 and self._faults[rows.base].plant is not None
+        return bool(base or self._planted[list(rows.families)].any())
 
-    def _named(self, joined: _Joined) -> FaultSet:
-        base = self._faults[joined.base] if joined.base >= 0 else NONE
+    def _named(self, rows: _Rows) -> FaultSet:
         return FaultSet(
-            base,
-            tuple(self._families[row] for row in joined.rows),
-            tuple(tuple(self._like[row]) for row in joined.rows),
+            self._faults[rows.base] if rows.base >= 0 else NONE,
+            tuple(self._families[row] for row in rows.families),
+            tuple(tuple(self._like[row]) for row in rows.families),
         )
 
 
-def _least(sets: Iterable[_Joined]) -> list[_Joined]:
-    """The sets that leave the least, each once."""
-    once = {(one.base, one.rows): one for one in sets}
-    return sorted(once.values())[:_LIKELY]
+def _least(rests: dict[_Rows, float]) -> dict[_Rows, float]:
+    """The sets that leave the least, by the square of it."""
+    return dict(sorted(rests.items(), key=lambda one: one[::-1])[:_LIKELY])

@@ -264,11 +264,17 @@ class FaultTrial:
             return []
         return self._moved(family, min(early + _SCREENED, self._count))
 
+    @cached_property
+    def _most_early(self) -> list[Array]:
+        """What a small number may leave of the poses before those that differ."""
+        return [np.abs(one) + STEP * _NO_EFFECT for one in self._neutral_rows[: self.equal_poses]]
+
     def _moved(self, family: Family, count: int) -> list[Array]:
         """The same of so many poses."""
-        most = [np.abs(one) + STEP * _NO_EFFECT for one in self._neutral_rows[: self.equal_poses]]
         moved = unfitted((family,), NONE, np.empty(0)).moved(0)
-        made = remainders(self._first, count, lambda beside: self._run(moved, beside), most)
+        made = remainders(
+            self._first, count, lambda beside: self._run(moved, beside), self._most_early
+        )
         return made if len(made) == count else []
 
     def may_fit(self, made: Sequence[Array]) -> bool:
@@ -379,7 +385,7 @@ class FaultTrial:
 
     def _settled_set(self, base: Fault, families: tuple[Family, ...]) -> FaultFit | None:
         """The numbers of some families that fit the first poses best beside a fault."""
-        left = self._left(base)
+        left = self.neutral if base is NONE else self._left(base)
         if left is None or self.neutral is None or len(left) != len(self.neutral):
             return None
         return settled(unfitted(families, base, left), self._left)

@@ -13,6 +13,8 @@ from comparisons.errors import RecordError
 
 LARGEST = 1e10
 """Beyond this no time, length, speed or angle of a drive lies; squares of it stay finite."""
+LEAST_SIGMA = 1e-7
+"""Of a measurement, in whatever unit: smaller ones are mistakes."""
 LARGEST_ID = 2**53
 """Beyond this whole numbers are not exact as floating point."""
 
@@ -116,7 +118,7 @@ def within(stream: str, name: str, values: Array, low: float, high: float) -> No
 
 def standard_deviation(stream: str, name: str, values: Array) -> None:
     """Sigmas must lie between 1e-7 and 1e6, in whatever unit: beyond that they are mistakes."""
-    within(stream, name, values, 1e-7, 1e6)
+    within(stream, name, values, LEAST_SIGMA, 1e6)
 
 
 def positive_definite(stream: str, covariance: Array, *, singular: bool = False) -> None:
