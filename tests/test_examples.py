@@ -113,7 +113,7 @@ SEEN = 'seen["bearing_rad"][k]'
 @pytest.mark.parametrize(
     ("old", "new", "gaps", "reported"),
     [
-        (SEEN, f"-{SEEN}", ["fault", "model"], "bearings are clockwise"),
+        (SEEN, f"-{SEEN}", ["fault", "model"], "the bearing has the opposite sign"),
         ("self.p[:, :3] @ f.T", "self.p[:, :3] @ f", ["algebra"], ""),
     ],
 )

@@ -19,6 +19,15 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.faults.columns import (
+    LogColumn,
+    columns_of,
+    moves_of,
+    odometry_columns,
+    pair_words,
+    positions_of,
+    with_moves,
+)
 from comparisons.faults.grammar import number_text
 from comparisons.logs.column_names import UNITS
 from comparisons.logs.log import Log, Positions
@@ -33,7 +42,6 @@ _OTHER_UNITS = {
 }  # fmt: skip
 """By dimension, units that no option names, in SI."""
 _SPELT = {"deg": "degrees", "degps": "degrees", "rad": "radians", "radps": "radians", "mps": "m/s"}
-_SHORT = {"mps": "m/s", "radps": "rad/s"}
 _ASIDE = (
     (-np.pi / 2, "left", "subtract 90 degrees from them"),
     (np.pi / 2, "right", "add 90 degrees to them"),
@@ -99,51 +107,6 @@ class LogCorrection(NamedTuple):
     shown: Callable[[float], float] = float
 
 
-class LogColumn(NamedTuple):
-    """Values (N,) of a stream, or columns (N, 2) that belong together.
-
-    Attributes:
-        name: As `new-log` calls it.
-        stream: What it is of.
-        words: Of the values, as `turn rates`.
-        short: Beside another column of the stream, as `yaw_rate`.
-        subject: Of a unit, as `yaw_rate is in`.
-        unit: Dimension, of `UNITS`.
-        step: What noise hides of it.
-        read: From a log.
-        write: Into a log.
-    """
-
-    name: str
-    stream: str
-    words: str
-    short: str
-    subject: str
-    unit: str
-    step: float
-    read: Callable[[Log], Array]
-    write: Callable[[Log, Array], Log]
-
-    @property
-    def is_angle(self) -> bool:
-        """Whether it has a sense of rotation."""
-        return self.unit.startswith("rad")
-
-    def changed(self, log: Log, change: Callable[[Array], Array]) -> Log:
-        """Return the log with other values."""
-        return self.write(log, change(self.read(log)))
-
-
-def columns_of(log: Log) -> list[LogColumn]:
-    """Return every column of a log's streams that holds a measured value."""
-    columns = []
-    if len(log.measurements.time_s):
-        columns += _measured_columns()
-    if len(log.odometry.time_s):
-        columns += _odometry_columns(log)
-    return columns + ([] if log.positions is None else _position_columns())
-
-
 def corrections(log: Log) -> Iterator[LogCorrection]:
     """Yield every change of every slot of values that a log has, each by what corrects it."""
     columns = columns_of(log)
@@ -160,104 +123,6 @@ def corrections(log: Log) -> Iterator[LogCorrection]:
         yield from of_positions(log.positions)
 
 
-# Columns
-
-
-def _measured_columns() -> list[LogColumn]:
-    def ranges(log: Log, values: Array) -> Log:
-        seen = replace(log.measurements, range_m=np.maximum(values, 1e-3))
-        return replace(log, measurements=seen)
-
-    def bearings(log: Log, values: Array) -> Log:
-        wrapped = np.angle(np.exp(1j * values))
-        return replace(log, measurements=replace(log.measurements, bearing_rad=wrapped))
-
-    return [
-        LogColumn("range", "measurements", "ranges", "ranges", "ranges are", "m", 0.01,
-                  lambda log: log.measurements.range_m, ranges),
-        LogColumn("bearing", "measurements", "bearings", "bearings", "bearings are", "rad", 1e-3,
-                  lambda log: log.measurements.bearing_rad, bearings),
-    ]  # fmt: skip
-
-
-def _odometry_columns(log: Log) -> list[LogColumn]:
-    def of_field(name: str) -> tuple[Callable[[Log], Array], Callable[[Log, Array], Log]]:
-        def write(log: Log, values: Array) -> Log:
-            changed: dict[str, Any] = {name: values}
-            return replace(log, odometry=replace(log.odometry, **changed))
-
-        return lambda log: getattr(log.odometry, name), write
-
-    def of_moves(*k: int) -> tuple[Callable[[Log], Array], Callable[[Log, Array], Log]]:
-        where = k[0] if len(k) == 1 else slice(k[0], k[-1] + 1)
-
-        def write(log: Log, values: Array) -> Log:
-            moves = _moves(log).copy()
-            moves[:, where] = values
-            return _with_moves(log, moves)
-
-        return lambda log: _moves(log)[:, where], write
-
-    if isinstance(log.odometry, RelativePoses):
-        of = " of the displacements"
-        return [
-            LogColumn("way", "odometry", "ways between poses", "ways", "ways between poses are",
-                      "m", 0.01, *of_moves(0, 1)),
-            LogColumn("x", "odometry", f"x{of}", "x", f"x{of} is in", "m", 1e-3, *of_moves(0)),
-            LogColumn("y", "odometry", f"y{of}", "y", f"y{of} is in", "m", 1e-3, *of_moves(1)),
-            LogColumn("heading", "odometry", "turns between poses", "heading", "heading is in",
-                      "rad", 1e-3, *of_moves(2)),
-        ]  # fmt: skip
-    name, words, unit = "yaw_rate", "turn rates", "radps"
-    if isinstance(log.odometry, SteeringOdometry):
-        name, words, unit = "steering", "steering angles", "rad"
-    return [
-        LogColumn("speed", "odometry", "speeds", "speed", "speeds are", "mps", 0.01,
-                  *of_field("speed_mps")),
-        LogColumn(name, "odometry", words, name, f"{name} is in", unit, 1e-3,
-                  *of_field(f"{name}_{unit}")),
-    ]  # fmt: skip
-
-
-def _position_columns() -> list[LogColumn]:
-    def of_axes(*k: int) -> tuple[Callable[[Log], Array], Callable[[Log, Array], Log]]:
-        where = k[0] if len(k) == 1 else slice(k[0], k[-1] + 1)
-
-        def write(log: Log, values: Array) -> Log:
-            place = _positions(log).position_m.copy()
-            place[:, where] = values
-            return replace(log, positions=replace(_positions(log), position_m=place))
-
-        return lambda log: _positions(log).position_m[:, where], write
-
-    of = " of the positions"
-    return [
-        LogColumn("way", "positions", "positions", "positions", "positions are", "m", 0.01,
-                  *of_axes(0, 1)),
-        LogColumn("east", "positions", f"east{of}", "east", f"east{of} is in", "m", 0.01,
-                  *of_axes(0)),
-        LogColumn("north", "positions", f"north{of}", "north", f"north{of} is in", "m", 0.01,
-                  *of_axes(1)),
-    ]  # fmt: skip
-
-
-def _positions(log: Log) -> Positions:
-    if log.positions is None:
-        raise InputError(f"{log.name}: no positions, expected some")
-    return log.positions
-
-
-def _moves(log: Log) -> Array:
-    if not isinstance(log.odometry, RelativePoses):
-        raise InputError(f"{log.name}: wheel odometry, expected relative poses")
-    return log.odometry.displacement
-
-
-def _with_moves(log: Log, displacement: Array) -> Log:
-    changed: dict[str, Any] = {"displacement": displacement}
-    return replace(log, odometry=replace(log.odometry, **changed))
-
-
 # Changes of a column
 
 
@@ -271,7 +136,7 @@ def _of_column(column: LogColumn) -> Iterator[LogCorrection]:
         names=tuple(_factors(column)),
     )  # fmt: skip
     if column.name != "way":
-        unit = _SHORT.get(column.unit, column.unit)
+        unit = column.spelt_unit
         of = column.words if " of " in column.words else f"the {column.words}"
         yield LogCorrection(
             slot, "plus", lambda b: f"an offset of {b:+.4g} {unit} on {of}",
@@ -339,8 +204,7 @@ def _zeros(column: LogColumn) -> Iterator[NamedNumber]:
 
 def _exchanged(first: LogColumn, second: LogColumn) -> Iterator[LogCorrection]:
     """Two columns of a stream in each other's place, and of some the opposite sign."""
-    of = "" if " of " not in first.words else first.words[first.words.index(" of ") :]
-    pair = f"{first.short} and {second.short}{of} are exchanged"
+    pair = pair_words(first, second)
     same_unit = first.unit == second.unit
     for signs in product((1.0, -1.0), repeat=2) if same_unit else [(1.0, 1.0)]:
         negative = [one.short for one, sign in zip((first, second), signs, strict=True) if sign < 0]
@@ -423,7 +287,7 @@ def _of_clocks(log: Log) -> Iterator[LogCorrection]:
                 lambda log, k, group=group, sign=sign: _clocked(log, group, k**sign),
                 neutral=(1.0,), steps=(2e-3,), grid=_RATES,
             )  # fmt: skip
-    for column in _odometry_columns(log) if len(log.odometry.time_s) else ():
+    for column in odometry_columns(log) if len(log.odometry.time_s) else ():
         if column.name in ("x", "y") or (poses and column.name == "heading"):
             continue
         lags = sorted({*_LAGS, *(-one for one in _LAGS), 0})
@@ -505,7 +369,7 @@ def _of_places(log: Log) -> Iterator[LogCorrection]:
         yield LogCorrection(
             "place of the odometry", "plus",
             lambda a, b: f"displacements of a frame {in_words(a, b)} of the pose",
-            lambda log, a, b: _with_moves(log, _moved_from(_moves(log), complex(a, b))),
+            lambda log, a, b: with_moves(log, _moved_from(moves_of(log), complex(a, b))),
             "give the motion of the pose", zero, steps,
         )  # fmt: skip
     if isinstance(log.odometry, SteeringOdometry):
@@ -573,7 +437,9 @@ def _of_motions(log: Log) -> Iterator[LogCorrection]:
     ):
         yield LogCorrection(
             slot, words, lambda words=words: f"x and y of the displacements are {words}",
-            lambda log, k=share: _with_moves(log, _by_angles(_moves(log), k * _moves(log)[:, 2])),
+            lambda log, k=share: with_moves(
+                log, _by_angles(moves_of(log), k * moves_of(log)[:, 2])
+            ),
             "give them in the frame of the departing pose",
         )  # fmt: skip
     yield LogCorrection(
@@ -583,7 +449,7 @@ def _of_motions(log: Log) -> Iterator[LogCorrection]:
     )  # fmt: skip
     yield LogCorrection(
         slot, "turned", lambda a: f"x and y of the displacements turned by {a:+.4g} rad",
-        lambda log, a: _with_moves(log, _by_angles(_moves(log), np.full(len(_moves(log)), a))),
+        lambda log, a: with_moves(log, _by_angles(moves_of(log), np.full(len(moves_of(log)), a))),
         "correct the heading of the sensor that measured them", (0.0,), (1e-3,),
         names=tuple(
             NamedNumber(a, f"x and y of the displacements are turned by {-np.degrees(a):.0f} "
@@ -601,9 +467,9 @@ def _by_angles(displacement: Array, angle_rad: Array) -> Array:
 
 def _out_of_the_map(log: Log) -> Log:
     """Displacements in the map's axes, in the frame of their departing poses."""
-    moves = _moves(log)
+    moves = moves_of(log)
     heading = float(log.prior.pose[2]) + np.append(0.0, np.cumsum(moves[:-1, 2]))
-    return _with_moves(log, _by_angles(moves, -heading))
+    return with_moves(log, _by_angles(moves, -heading))
 
 
 _SAID_AXES = {
@@ -654,7 +520,7 @@ def other_frame(log: Log, x: str, y: str, turned: float) -> Log:
     axes = {"x": pose[:, 0], "-x": -pose[:, 0], "y": pose[:, 1], "-y": -pose[:, 1]}
     heading = turned * pose[:, 2]
     step = (np.diff(axes[x]) + 1j * np.diff(axes[y])) * np.exp(-1j * heading[:-1])
-    return _with_moves(log, np.column_stack((step.real, step.imag, np.diff(heading))))
+    return with_moves(log, np.column_stack((step.real, step.imag, np.diff(heading))))
 
 
 # Positions
@@ -687,14 +553,14 @@ def of_positions(given: Positions) -> Iterator[LogCorrection]:
         "antenna of the positions", "plus",
         lambda a, b: f"an antenna at {in_words(a + ahead, b + left)} of the pose",
         lambda log, a, b: replace(
-            log, positions=replace(_positions(log), antenna_m=(a + ahead, b + left))
+            log, positions=replace(positions_of(log), antenna_m=(a + ahead, b + left))
         ),
         "correct antenna_m", zero, (0.01, 0.01),
     )  # fmt: skip
 
 
 def _placed(log: Log, change: Callable[[Array], Array]) -> Log:
-    given = _positions(log)
+    given = positions_of(log)
     return replace(log, positions=replace(given, position_m=change(given.position_m)))
 
 
@@ -777,7 +643,7 @@ def _scaled_measurements(log: Log, factor: Array, field: str) -> Log:
 
 
 def _scaled_positions(log: Log, factor: Array) -> Log:
-    given = _positions(log)
+    given = positions_of(log)
     square = np.square(factor)[..., None, None]
     return replace(log, positions=replace(given, covariance=square * given.covariance))
 

@@ -1,7 +1,6 @@
-"""Faults of a log's streams: what a filter reads of them, as a channel and a change of it.
+"""Faults of a log's streams: what a filter reads of them, as a column and a change of it.
 
-A channel is a column of measured values, or a part of what the log says of their noise. A change
-is a sign, an exchange, a lag, a factor, an offset, a root; words are made of both.
+So are parts of what the log says of noise, and the measures of its vehicle; words are made of both.
 """
 
 from __future__ import annotations
@@ -16,48 +15,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
+from comparisons.faults.columns import read_columns
 from comparisons.faults.data import waiting_for_control
 from comparisons.faults.fault import Family, Fault, remembering
+from comparisons.faults.misreadings import Misreading, lag_words, late, misreadings
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions
-from comparisons.logs.odometry import OdometryNoise, RelativePoses, SteeringOdometry
-from comparisons.logs.transforms.calibration import Line, controlled, delayed, driven, sensed
+from comparisons.logs.odometry import (
+    Ackermann,
+    OdometryNoise,
+    RelativePoses,
+    SteeringOdometry,
+)
+from comparisons.logs.transforms.calibration import delayed
 from comparisons.logs.validation import LEAST_SIGMA
 
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _CONTROLS = ("sigma_speed_mps", "sigma_turn")
 STABILISATION = "the stabilisation noise"
+RANGE_POWERS = 0, 1, 2
+"""With which a variance may grow."""
 _RESOLVED_S = 1e-6
 """Stamps that are closer are of one instant."""
 _LAGS = (1, -1, 2, -2)
 _EVERY = (2, 3)
 """Of so many one is left out, or used."""
 
-_MEASURES = {
-    "the encoder's way to the side": "encoder_offset_m",
-    "the sensor's way forward": "sensor_forward_m",
-    "the sensor's way to the left": "sensor_left_m",
-}
 _PLACES = {
-    "the sensor's place": ("sensor_forward_m", "sensor_left_m"),
-    "the encoder's place": ("encoder_offset_m",),
+    "encoder_offset_m of the vehicle": ("encoder_offset_m",),
+    "sensor_forward_m of the vehicle": ("sensor_forward_m",),
+    "sensor_left_m of the vehicle": ("sensor_left_m",),
+    "the sensor's position on the vehicle": ("sensor_forward_m", "sensor_left_m"),
 }
-"""Of a steering vehicle."""
-
-ByLine = Callable[[Log, Line], Log]
+"""Of a vehicle that steers: what is measured to its sensors."""
 
 
-class Channel(NamedTuple):
-    """Measured values. by_line: the log with other ones by a factor and an offset."""
+class VehicleChange(NamedTuple):
+    """Other measures of a vehicle.
 
-    name: str
-    unit: str
-    by_line: ByLine
-    is_plural: bool = False
+    Attributes:
+        words: With a place for each number.
+        measures: Makes of numbers the measures that are others, by name.
+        start: The log's numbers.
+    """
 
-    @property
-    def verb(self) -> str:
-        """After the name."""
-        return "are" if self.is_plural else "is"
+    words: str
+    measures: Callable[..., dict[str, float]]
+    start: tuple[float, ...] = ()
 
 
 class Noise(NamedTuple):
@@ -83,24 +86,22 @@ _Q = (
 
 def stream_faults(log: Log) -> Iterator[Fault]:
     """Yield the faults of a log's streams without a number."""
-    for channel in channels(log):
-        have = "have" if channel.is_plural else "has"
-        yield Fault(f"{channel.name} {have} the opposite sign", feed=_lined(channel, (-1.0, 0.0)))
-        yield Fault(f"{channel.name} {channel.verb} zero", feed=_lined(channel, (0.0, 0.0)))
+    for misread in _misreadings(log):
+        if not misread.start:
+            yield Fault(misread.words, feed=partial(_fed, misread))
+    yield from _waiting(log)
     for noise in noises(log):
-        for what, change in _NOISE_CHANGES.items():
-            yield Fault(f"{noise.name} {what}", feed=partial(_with_noise, noise, change))
+        for what, altered in _NOISE_CHANGES.items():
+            yield Fault(f"{noise.name} {what}", feed=partial(_with_noise, noise, altered))
     for first, second in _exchanged(log):
         feed = partial(_noise_exchanged, first.fields[0], second.fields[0])
         names = " and ".join(one.name for one in (first, second))
         yield Fault(f"the sigmas of {names} are exchanged", feed=feed)
     if log.positions is not None:
-        yield Fault("east and north of the positions are exchanged",
-                    feed=partial(_with_positions, lambda p: p[:, ::-1]))  # fmt: skip
         yield Fault("the antenna's place is left out", feed=partial(_antenna_at, 0.0, (0.0, 0.0)))
-    for place, measures in _PLACES.items() if isinstance(log.odometry, SteeringOdometry) else ():
-        yield Fault(f"{place} is left out", feed=partial(_of_vehicle, measures, 0.0, 0.0))
-    yield from _shifted_odometry(log)
+    for measured in _of_vehicle(log):
+        if not measured.start:
+            yield Fault(measured.words, feed=partial(_with_measures, measured))
     yield from _shifted_measurements(log)
     yield from _left_out()
 
@@ -109,38 +110,34 @@ def stream_families(log: Log) -> Iterator[Family]:
     """Yield the faults of a log's streams that have a number."""
     for noise in noises(log):
         yield Family(f"{noise.name} is {{}} times the log's", partial(_with_factor, noise))
+    yield from _growing(log)
     yield Family("the prior's covariance is {} times the log's", _wider_prior)
-    for channel in channels(log):
-        yield Family(f"{channel.name} {channel.verb} {{}} times the log's",
-                     partial(_times, channel))  # fmt: skip
-        have = "have" if channel.is_plural else "has"
-        yield Family(f"{channel.name} {have} a bias of {{}} {channel.unit}",
-                     partial(_plus, channel), 0.0, factor=False)  # fmt: skip
+    for misread in _misreadings(log):
+        if misread.start and misread.change.is_neutral:
+            yield Family(misread.words, partial(_fed, misread), misread.start[0],
+                         factor=misread.change.is_factor, said=misread.said)  # fmt: skip
     yield Family("the measurements are used {} s late", delayed, 0.0, factor=False)
     if log.positions is not None:
         yield Family("R of positions is {} times the log's", _wider_positions)
         for axis, side in enumerate(("forward", "to the left")):
             yield Family(f"the antenna is {{}} m farther {side}", partial(_antenna_moved, axis),
                          0.0, factor=False)  # fmt: skip
-    if isinstance(log.odometry, SteeringOdometry):
-        yield Family("the wheelbase is {} times the log's",
-                     lambda log, k: _of_vehicle(("wheelbase_m",), k, 0.0, log))  # fmt: skip
-        for name, at in _MEASURES.items():
-            yield Family(f"{name} is {{}} m more", partial(_vehicle_plus, at), 0.0,
-                         factor=False)  # fmt: skip
+    for measured in _of_vehicle(log):
+        if len(measured.start) == 1:
+            yield Family(measured.words, partial(_with_measures, measured), measured.start[0],
+                         factor=False, said=measured.words.format)  # fmt: skip
 
 
-def channels(log: Log) -> Iterator[Channel]:
-    """Yield the measured values of a log."""
-    turn = "rad" if isinstance(log.odometry, RelativePoses) else "(rad or rad/s)"
-    way = "m" if isinstance(log.odometry, RelativePoses) else "m/s"
-    yield Channel("the speed", way, lambda log, line: driven(log, speed=line))
-    yield Channel("the turn", turn, lambda log, line: driven(log, turn=line))
-    yield Channel("the ranges", "m", lambda log, line: sensed(log, range_=line), True)
-    yield Channel("the bearings", "rad", lambda log, line: sensed(log, bearing=line), True)
-    if log.positions is not None:
-        for axis, name in enumerate(("east", "north")):
-            yield Channel(f"the positions' {name}", "m", partial(_positions_by_line, axis))
+def _misreadings(log: Log) -> Iterator[Misreading]:
+    streams = ["odometry", "measurements", *(["positions"] if log.positions is not None else [])]
+    for stream in streams:
+        yield from misreadings(read_columns(log, stream), _LAGS)
+
+
+def _fed(misread: Misreading, log: Log, *numbers: float) -> Log:
+    """The log as a program reads it."""
+    whole = read_columns(log, misread.column.stream)[0]
+    return whole.write(log, misread.values(whole.read(log), *numbers))
 
 
 def noises(log: Log) -> Iterator[Noise]:
@@ -154,18 +151,6 @@ def _exchanged(log: Log) -> Iterator[tuple[Noise, Noise]]:
     yield _R[1], _R[2]
     if not isinstance(log.odometry, RelativePoses):
         yield _Q[2], _Q[3]
-
-
-def _lined(channel: Channel, line: Line) -> Callable[[Log], Log]:
-    return lambda log: channel.by_line(log, line)
-
-
-def _times(channel: Channel, log: Log, factor: float) -> Log:
-    return channel.by_line(log, (factor, 0.0))
-
-
-def _plus(channel: Channel, log: Log, bias: float) -> Log:
-    return channel.by_line(log, (1.0, bias))
 
 
 _NOISE_CHANGES: dict[str, Callable[[Any], Any]] = {
@@ -197,6 +182,39 @@ def _with_factor(noise: Noise, log: Log, factor: float) -> Log:
     return _with_noise(noise, lambda variance: factor * variance, log)
 
 
+def added_words(name: str, power: int) -> str:
+    """Return that a variance has a number added, or as many times a power of the range."""
+    if power == 0:
+        return f"{name} has a constant of {{:.4g}} added"
+    return f"{name} has {{:.4g}} times {'the range' + ' squared' * (power == 2)} added"
+
+
+def _growing(log: Log) -> Iterator[Family]:
+    """Variances of measurements with something added; numbers are in units of the variance.
+
+    Of one that is always the same, a constant added is a factor.
+    """
+    if not len(log.measurements.time_s):
+        return
+    for noise, power in product(_R[1:], RANGE_POWERS):
+        stated = np.square(getattr(log.measurements, noise.fields[0]))
+        if power == 0 and np.ptp(stated) <= 1e-9 * stated.max():
+            continue
+        size = float(np.median(stated / log.measurements.range_m**power))
+        words = added_words(noise.name, power)
+
+        def feed(
+            log: Log, number: float, noise: Noise = noise, size: float = size, power: int = power
+        ) -> Log:
+            more = number * size * log.measurements.range_m**power
+            return _with_noise(noise, lambda variance: np.maximum(variance + more, 0.0), log)
+
+        def said(number: float, words: str = words, size: float = size) -> str:
+            return words.format(number * size)
+
+        yield Family(words, feed, 0.0, factor=False, said=said)
+
+
 def _noise_exchanged(first: str, second: str, log: Log) -> Log:
     def exchanged(record: Any) -> Any:
         return replace(record, **{first: getattr(record, second), second: getattr(record, first)})
@@ -215,22 +233,6 @@ def _wider_prior(log: Log, factor: float) -> Log:
 def with_prior(log: Log, covariance: Array) -> Log:
     """Return the log with another covariance (3, 3) of its prior."""
     return replace(log, prior=replace(log.prior, covariance=covariance))
-
-
-def _with_positions(change: Callable[[Array], Array], log: Log) -> Log:
-    positions = log.positions
-    if positions is None:
-        return log
-    return replace(log, positions=replace(positions, position_m=change(positions.position_m)))
-
-
-def _positions_by_line(axis: int, log: Log, line: Line) -> Log:
-    def changed(position_m: Array) -> Array:
-        moved = position_m.copy()
-        moved[:, axis] = line[0] * moved[:, axis] + line[1]
-        return moved
-
-    return _with_positions(changed, log)
 
 
 def _antenna_at(share: float, more_m: tuple[float, float], log: Log) -> Log:
@@ -253,67 +255,55 @@ def _wider_positions(log: Log, factor: float) -> Log:
     return replace(log, positions=replace(log.positions, covariance=covariance))
 
 
-def _of_vehicle(names: tuple[str, ...], factor: float, more_m: float, log: Log) -> Log:
+def _of_vehicle(log: Log) -> Iterator[VehicleChange]:
+    if isinstance(log.odometry, SteeringOdometry):
+        yield from vehicle_changes(log.odometry.vehicle)
+
+
+def vehicle_changes(vehicle: Ackermann) -> Iterator[VehicleChange]:
+    """Yield what a program may take for the measures of a vehicle."""
+    for place, names in _PLACES.items():
+        stated = {name: float(getattr(vehicle, name)) for name in names}
+        if not any(stated.values()):
+            continue
+        zero = dict.fromkeys(names, 0.0)
+        opposite = {name: -value for name, value in stated.items()}
+        yield VehicleChange(f"{place} is left out", lambda zero=zero: zero)
+        yield VehicleChange(f"{place} has the opposite sign", lambda changed=opposite: changed)
+    base = vehicle.wheelbase_m
+    yield VehicleChange(f"the wheelbase is {{:.3f}} m, in the log {base:.3f} m",
+                        lambda b: {"wheelbase_m": b}, (base,))  # fmt: skip
+    for place, names in _PLACES.items():
+        start = tuple(float(getattr(vehicle, name)) for name in names)
+        text = ", ".join(["{:.4g}"] * len(names))
+        form = f"({text}) m" if len(names) > 1 else f"{text} m"
+        yield VehicleChange(
+            f"{place} is {form}, in the log {form.format(*start)}",
+            lambda *numbers, names=names: dict(zip(names, numbers, strict=True)), start,
+        )  # fmt: skip
+
+
+def _with_measures(change: VehicleChange, log: Log, *numbers: float) -> Log:
     """The log of a vehicle with other measures."""
     if not isinstance(log.odometry, SteeringOdometry):
         return log
-    vehicle = log.odometry.vehicle
-    changed = {name: factor * getattr(vehicle, name) + more_m for name in names}
-    return replace(log, odometry=replace(log.odometry, vehicle=replace(vehicle, **changed)))
+    vehicle = replace(log.odometry.vehicle, **change.measures(*numbers))
+    return replace(log, odometry=replace(log.odometry, vehicle=vehicle))
 
 
-def _vehicle_plus(name: str, log: Log, more_m: float) -> Log:
-    return _of_vehicle((name,), 1.0, more_m, log)
-
-
-def _side(lag: int, what: str) -> str:
-    many = f"{abs(lag)} {what}{'s' * (abs(lag) > 1)}"
-    return f"{many} {'late' if lag > 0 else 'early'}"
-
-
-def _shifted_odometry(log: Log) -> Iterator[Fault]:
-    """Both controls, or one of them, are those of samples before or after."""
-    for lag, (name, of_speed, of_turn) in product(_LAGS, _SHIFTED):
-        if isinstance(log.odometry, RelativePoses) and not (of_speed and of_turn):
-            continue
-        what = f"{name} used {_side(lag, 'sample')}"
-        shifted = partial(_with_lag, lag, of_speed, of_turn)
-        yield Fault(what, feed=partial(shifted, held=False))
-        if lag > 0:
-            yield Fault(f"{what}, the first twice", feed=partial(shifted, held=True))
-        if lag > 0 and of_speed and of_turn:
-            waiting = remembering(waiting_for_control)
-            yield Fault(f"{what}, none before the first", waiting, partial(shifted, held=False))
-
-
-_SHIFTED = (
-    ("the odometry is", True, True),
-    ("the speed is", True, False),
-    ("the turn is", False, True),
-)
-
-
-def _with_lag(lag: int, of_speed: bool, of_turn: bool, log: Log, *, held: bool) -> Log:
-    """Each control is that of so many samples before. held: the first acts before it, too."""
-
-    def late(values: Array) -> Array:
-        moved = np.full(values.shape, values[0] if held else 0.0)
-        if lag > 0:
-            moved[lag:] = values[:-lag]
-        else:
-            moved[:lag], moved[lag:] = values[-lag:], values[-1]
-        return moved
-
-    def same(values: Array) -> Array:
-        return values
-
-    return controlled(log, late if of_speed else same, late if of_turn else same)
+def _waiting(log: Log) -> Iterator[Fault]:
+    """The odometry is used late by a filter that does nothing before its first sample."""
+    whole, waiting = read_columns(log, "odometry")[0], remembering(waiting_for_control)
+    for lag in (one for one in _LAGS if one > 0):
+        misread = late(whole, lag)
+        words = f"{misread.words}, none before the first"
+        yield Fault(words, waiting, partial(_fed, misread))
 
 
 def _shifted_measurements(log: Log) -> Iterator[Fault]:
     for lag in _LAGS:
         yield Fault(
-            f"the measurements are fused {_side(lag, 'odometry sample')}",
+            f"the measurements are fused {lag_words(lag, 'odometry sample')}",
             feed=partial(_at_other_stops, lag),
         )
     for lag in (1, -1):
@@ -323,7 +313,7 @@ def _shifted_measurements(log: Log) -> Iterator[Fault]:
         )
     for lag in _LAGS[:2] if log.positions is not None else ():
         yield Fault(
-            f"positions are fused {_side(lag, 'odometry sample')}",
+            f"positions are fused {lag_words(lag, 'odometry sample')}",
             feed=partial(_positions_at_other_stops, lag),
         )
 

@@ -77,7 +77,7 @@ CAUSES: dict[str, tuple[str, ...]] = {
     "no heading column": ("model", "the Jacobian with respect to heading is missing"),
     "range only": ("model", "bearing row", "zero"),
     "innovation not wrapped": ("model", "the innovation", "not wrapped"),
-    "bearing clockwise": ("model", "the innovation", "clockwise"),
+    "bearing clockwise": ("model", "the innovation", "the bearing has the opposite sign"),
     "stale Jacobian": ("model", "the Jacobian", "the previous scan"),
     "R not rotated by G_z": ("model", "G_z is the identity"),
     "no heading at augmentation": (

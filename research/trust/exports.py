@@ -13,6 +13,7 @@ from comparisons.arrays import Array
 from comparisons.checks.grade import joint_rows
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.faults.columns import odometry_columns
 from comparisons.faults.fault import Feed
 from comparisons.faults.tried import TriedFaults
 from comparisons.logs.log import LandmarkMeasurements, Log
@@ -254,6 +255,11 @@ def planted(words: str, number: float | None = None) -> Feed:
     return feed
 
 
+def turned(change: Callable[[Array], Array]) -> Feed:
+    """Other yaw rates, steering angles, or turns between poses."""
+    return lambda log: odometry_columns(log)[-1].changed(log, change)
+
+
 def kept(rows: Callable[[LandmarkMeasurements], NDArray[np.bool_]]) -> Feed:
     """Some of the measurements only."""
     return lambda log: replace(log, measurements=log.measurements.chosen(rows(log.measurements)))
@@ -271,12 +277,12 @@ FEEDS: dict[str, Feed] = {
     "one landmark ignored": kept(lambda seen: seen.landmark != seen.landmark.min()),
     "measurements of the last 5 s left out": kept(lambda seen: seen.time_s < seen.time_s[-1] - 5.0),
     "measurements beyond 15 m left out": kept(lambda seen: seen.range_m < 15.0),
-    "range 1 % too long": planted("the ranges are", 1.01),
-    "range 5 cm too long": planted("the ranges have a bias", 0.05),
-    "bearing off by 0.5 degrees": planted("the bearings have a bias", 0.5 * _DEGREE),
+    "range 1 % too long": planted("the range is", 1.01),
+    "range 5 cm too long": planted("the range has a bias", 0.05),
+    "bearing off by 0.5 degrees": planted("the bearing has a bias", 0.5 * _DEGREE),
     "speed 1 % too high": planted("the speed is", 1.01),
-    "turn 2 % too strong": planted("the turn is", 1.02),
-    "turn off by 0.2 degrees": planted("the turn has a bias", 0.2 * _DEGREE),
+    "turn 2 % too strong": turned(lambda turn: 1.02 * turn),
+    "turn off by 0.2 degrees": turned(lambda turn: turn + 0.2 * _DEGREE),
     "odometry two samples late": planted("the odometry is used 2 samples late, the first twice"),
     "prior's covariance 100 times": planted("the prior's covariance is", 100.0),
     "prior's heading off by 1 degree": lambda log: replace(

@@ -92,7 +92,7 @@ PLANTED = (
     "in the prediction, the covariance of the pose with the landmarks is as before",
     "the measurements are fused 1 odometry sample early",
     "the measurements are fused two predictions late",
-    "the turn is used 2 samples late, the first twice",
+    "the yaw rate is used 2 samples late, the first twice",
     "of the scans every third, from the second on, is left out",
     "the controls' part of Q grows with the interval",
     "the prior's covariance is zero, and the stabilisation noise is left out",
@@ -146,7 +146,7 @@ def family(log: Log, words: str) -> Family:
     return TriedFaults(log).family(words)
 
 
-BIASED, NOISY = ("the turn has a bias", 0.01), ("R of the range is {}", 2.345)
+BIASED, NOISY = ("the yaw rate has a bias", 0.01), ("R of the range is {}", 2.345)
 APART_FROM_THE_HEADING = "the predicted velocity is along the heading of plain dead reckoning"
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
 from comparisons.explain.hypotheses import (
@@ -22,10 +22,14 @@ from comparisons.explain.hypotheses import (
     named,
 )
 from comparisons.explain.recorded import explained
+from comparisons.faults.columns import position_columns
 from comparisons.faults.grammar import POSITION, PRIOR, R_OF_POSITION, Values, times
+from comparisons.faults.misreadings import Misreading, joined_misreadings, misreadings
 from comparisons.logs.log import Log
 from comparisons.plane import pose_difference, turned
 
+_LAGS = (1, -1, 2, -2)
+"""Positions by which one may come late, or early."""
 _ENTRIES = (("x", "m"), ("y", "m"), ("heading", "rad"))
 """Of a pose, with their units."""
 
@@ -111,27 +115,29 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
             instead("the lever arm of the antenna is not rotated by the heading", apart - stated),
             instead("the innovation of positions has the opposite sign", -meant),
             instead("the expected position is that before the last prediction", older),
-            instead("the position's east and north are exchanged", place[:, ::-1] - place + meant),
             Hypothesis(
                 "the lever arm of the antenna is ({0:.3f}, {1:.3f}) m, in the log "
                 f"({stated[0]:.3f}, {stated[1]:.3f}) m",
                 lambda rows, *arm: apart[rows] - turned(np.array(arm), pose[rows, 2]),
                 positions.antenna_m,
             ),
-            Hypothesis(
-                "positions have a bias of ({0:+.4g}, {1:+.4g}) m",
-                lambda rows, east, north: meant[rows] + (east, north),
-                (0.0, 0.0),
-            ),
-            Hypothesis(
-                times("positions", "the log's"),
-                lambda rows, k: meant[rows] + (k - 1.0) * place[rows],
-                (1.0,),
-            ),
+            *_misread(positions.position_m, r.number, meant),
         ),
     ) or explained(POSITION, quantity, residual, lambda values, rows: values[:, :, 0])
     noise = r.noise * r.weight[:, None, None]
     yield from _position_noise(noise, positions.covariance[r.number], quantity)
+
+
+def _misread(values: Array, number: Index, meant: Array) -> Iterator[Hypothesis]:
+    """Positions (L, 2) that are misread. number: (G,) which. meant: (G, 2) their residuals."""
+    columns = position_columns()
+    for one in (*misreadings(columns, _LAGS), *joined_misreadings(columns)):
+
+        def predict(rows: Index, *numbers: float, one: Misreading = one) -> Array:
+            used: Array = one.values(values, *numbers) - values
+            return meant[rows] + used[number[rows]]
+
+        yield Hypothesis(one.said, predict, one.start)
 
 
 def _position_noise(have: Array, stated: Array, of: Quantity) -> list[str]:

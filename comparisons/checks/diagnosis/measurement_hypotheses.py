@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from comparisons.explain.hypotheses import (
     scaled,
 )
 from comparisons.explain.recorded import explained
+from comparisons.faults.columns import LogColumn, read_measurements, values_of
 from comparisons.faults.grammar import (
     EXPECTED,
     G_X,
@@ -30,6 +31,8 @@ from comparisons.faults.grammar import (
     Values,
     times,
 )
+from comparisons.faults.misreadings import Misreading, joined_misreadings, misreadings
+from comparisons.faults.streams import RANGE_POWERS, added_words
 from comparisons.logs.log import Log
 from comparisons.plane import turned
 from ekf_reference.core.geometry import wrap_angle
@@ -37,7 +40,9 @@ from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import MeasurementRecords
 from ekf_reference.models.range_bearing import RangeBearing
 
-_COLUMNS = ("range", "bearing")
+_READ = read_measurements()
+_COLUMNS = tuple(one.name for one in _READ[1:])
+_LAGS = (1, -1, 2, -2)
 _TWO = np.eye(2)
 _BEARING: NDArray[np.bool_] = np.array([False, True])
 
@@ -48,8 +53,8 @@ class _Seen:
 
     z, sigma: (M, 2) as the log has them. z_hat: (M, 2) what is to be expected, h: (M, 2, 5) its
     Jacobian by pose and landmark. slack: (M, 2) what storing explains, in range and bearing.
-    others: by which, other measurements. poses, points: by where, other places to linearise at,
-    (M, 3) and (M, 2).
+    values: (L, 2) all that the log has. others: by which, other measurements. poses, points: by
+    where, other places to linearise at, (M, 3) and (M, 2).
     """
 
     r: MeasurementRecords
@@ -58,6 +63,7 @@ class _Seen:
     z_hat: Array
     h: Array
     slack: Array
+    values: Array
     others: Mapping[str, Array]
     poses: Mapping[str, Array]
     points: Mapping[str, Array]
@@ -88,7 +94,7 @@ def measurement_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
 
 def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _Seen:
     measurements, trace = log.measurements, run.trace
-    every = np.column_stack((measurements.range_m, measurements.bearing_rad))
+    every = values_of(log, "measurements")
     sigma = np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))
     z = every[r.number]
     z_hat, h = _rays(r.pose, r.landmark)
@@ -110,6 +116,7 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
         z_hat=z_hat,
         h=h,
         slack=np.column_stack((np.full(len(z_hat), place), place / z_hat[:, 0] + angle)),
+        values=every,
         others={
             "of the previous measurement": every[np.maximum(r.number - 1, 0)],
             "of the next measurement": every[np.minimum(r.number + 1, len(every) - 1)],
@@ -200,7 +207,7 @@ def _innovations(seen: _Seen) -> Iterator[str]:
     # What was taken for the measurement, if the expected one is right; the bearing up to whole
     # turns.
     taken = replace(both, have=r.innovation + seen.z_hat, meant=seen.z)
-    lines = named(both, _of_both(seen, nu)) or list(_by_column(taken, seen, "the"))
+    lines = named(both, _of_both(seen, nu)) or list(_by_column(taken, seen))
     yield from lines or _composed_innovation(both, seen)
 
 
@@ -227,9 +234,9 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
         *((where, _rays(r.pose, point)[0]) for where, point in seen.points.items()),
     ):
         yield instead(f"the expected measurement is computed {where}", seen.z - expected)
-    for which, other in seen.others.items():
-        yield instead(f"range and bearing are those {which}", other - seen.z_hat)
-    yield instead("range and bearing are exchanged", seen.z[:, ::-1] - seen.z_hat)
+    for misread in misreadings(_READ, _LAGS):
+        if misread.column is _READ[0]:
+            yield _read(seen, misread, lambda z, rows: z - seen.z_hat[rows])
 
     def expected_from(pose: Array, rows: Index) -> Array:
         return seen.z[rows] - _rays(pose, r.landmark[rows])[0]
@@ -246,45 +253,42 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
     )
 
 
-def _by_column(both: Quantity, seen: _Seen, article: str) -> Iterator[str]:
+def _read(seen: _Seen, misread: Misreading, shown: Callable[[Array, Index], Array]) -> Hypothesis:
+    """The log is misread. shown: makes of measurements (R, 2) what is compared."""
+
+    def predict(rows: Index, *numbers: float) -> Array:
+        return shown(misread.values(seen.values, *numbers)[seen.r.number[rows]], rows)
+
+    return Hypothesis(misread.said, predict, misread.start)
+
+
+def _by_column(both: Quantity, seen: _Seen, whose: str = "the") -> Iterator[str]:
     """Of range and bearing (M, 2) that were used, each by itself."""
-    for column, name in enumerate(_COLUMNS):
-        one = both.part(column)
-        yield from named(one, _of_column(one, seen, column, f"{article} {name}"))
+    for entry, column in enumerate(_READ[1:]):
+        part = both.part(entry)
+        yield from named(
+            part, _of_column(part, seen, column._replace(the=f"{whose} {column.name}"))
+        )
 
 
-def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[Hypothesis]:
-    z, expected = one.meant, seen.z_hat[:, column]
-    unit, log = ("m", "rad")[column], "the log's"
-    if column:
-        yield instead(f"{name} is used without its sign", np.abs(z))
-        yield instead("bearings are clockwise instead of counter-clockwise", -z)
+def _of_column(part: Quantity, seen: _Seen, column: LogColumn) -> Iterator[Hypothesis]:
+    z, entry, name = part.meant, column.entries[0], column.the
+    expected = seen.z_hat[:, entry]
+    if column.is_angle:
         yield instead(
             "the heading is not subtracted in the expected bearing", z - seen.r.pose[:, 2]
         )
-    for which, other in seen.others.items():
-        yield instead(f"{name} is that {which}", other[:, column])
-    yield Hypothesis(f"{name} has a bias of {{0:+.4g}} {unit}", lambda rows, b: z[rows] + b, (0.0,))
-    yield Hypothesis(times(name, log), lambda rows, k: k * z[rows], (1.0,))
+    for misread in (*misreadings([column], _LAGS), *joined_misreadings([column])):
+        yield _read(seen, misread, lambda z, rows: z[:, entry])
     yield Hypothesis(
-        times(f"the expected {_COLUMNS[column]}"),
+        times(f"the expected {column.name}"),
         lambda rows, k: z[rows] - (k - 1.0) * expected[rows],
         (1.0,),
     )
-    yield Hypothesis(
-        f"{name} is {{0:.6g}} times {log} {{1:+.4g}} {unit}",
-        lambda rows, k, b: k * z[rows] + b,
-        (1.0, 0.0),
-    )
-    if not column:
-        yield Hypothesis(
-            "the squared range differs from the log's by {0:+.4g} m^2, as from a height offset",
-            lambda rows, h: np.sqrt(np.maximum(z[rows] ** 2 + h, 1e-12)),
-            (0.0,),
-        )
-        largest = float(one.have.max())
-        yield instead(f"the range is limited to {largest:.4g} m", np.minimum(z, largest))
-    yield from _rounded(one, name, unit)
+    if column.name == "range":
+        largest = float(part.have.max())
+        yield instead(f"{name} is limited to {largest:.4g} m", np.minimum(z, largest))
+    yield from _rounded(part, name, column.spelt_unit)
 
 
 def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
@@ -377,20 +381,15 @@ def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:
     yield Hypothesis(
         f"{name} is constant at {{0:.4g}}", lambda rows, c: c / sigma[rows] ** 2, (0.0,)
     )
-    yield Hypothesis(
-        f"{name} has a constant of {{0:.4g}} added",
-        lambda rows, c: 1.0 + c / sigma[rows] ** 2,
-        (0.0,),
-    )
+    for power in RANGE_POWERS:
+        shape = range_m**power / sigma**2
+        yield Hypothesis(
+            added_words(name, power), lambda rows, c, one=shape: 1.0 + c * one[rows], (0.0,)
+        )
     for power, grows in ((2, "the range squared"), (1, "the range"), (-2, "1 / range squared")):
         shape = range_m**power / sigma**2
         yield Hypothesis(
             f"{name} is {{0:.4g}} times {grows}", lambda rows, c, one=shape: c * one[rows], (0.0,)
-        )
-        yield Hypothesis(
-            f"{name} has {{0:.4g}} times {grows} added",
-            lambda rows, c, one=shape: 1.0 + c * one[rows],
-            (0.0,),
         )
 
 

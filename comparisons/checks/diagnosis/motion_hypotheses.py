@@ -23,15 +23,19 @@ from comparisons.explain.hypotheses import (
     scaled,
 )
 from comparisons.explain.recorded import explained
+from comparisons.faults.columns import read_columns, values_of
 from comparisons.faults.grammar import B, F, Q, Text, Values, times
+from comparisons.faults.misreadings import Misreading, joined_misreadings, misreadings
+from comparisons.faults.streams import vehicle_changes
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry, VelocityOdometry
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.stamps import resolved
 from comparisons.plane import in_own_axes, turned
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
 from graphslam.graph_builder import to_tangent
 
 _LAGS = (1, -1, *(sign * k for k in range(2, 11) for sign in (1, -1)))
+Wheels = SteeringOdometry | VelocityOdometry
 _SHIFTS_S = tuple(sign * 0.01 * k for k in range(1, 101) for sign in (1, -1))
 
 
@@ -54,21 +58,13 @@ class _Drive:
         arrived = np.array([one.pose for one in each])
         return in_own_axes(self.departed[rows], arrived), by_control
 
-    def by_control(self, text: Text, change: Callable[..., Array], *start: float) -> _Mistake:
-        """Return the mistake of other controls (N, m), made of its figures."""
-        return _Mistake(text, lambda *fit: replace(self, control=change(*fit)), start)
-
     def by_interval(self, text: Text, change: Callable[..., Array], *start: float) -> _Mistake:
         """Return the mistake of other intervals (N,)."""
         return _Mistake(text, lambda *fit: replace(self, duration_s=change(*fit)), start)
 
-    def by_vehicle(self, text: Text, change: Callable[..., MotionModel], *start: float) -> _Mistake:
-        """Return the mistake of another vehicle."""
-        return _Mistake(text, lambda *fit: replace(self, model=change(*fit)), start)
-
 
 class _Mistake(NamedTuple):
-    """altered: of its figures, the drive as it then goes. text, start: as of a hypothesis."""
+    """altered: of its numbers, the drive as it then goes. text, start: as of a hypothesis."""
 
     text: Text
     altered: Callable[..., _Drive]
@@ -82,7 +78,24 @@ class _Mistake(NamedTuple):
         )
 
 
-Wheels = SteeringOdometry | VelocityOdometry
+def read_controls(log: Log, timeline: Timeline) -> tuple[Array, Index]:
+    """Return values (S, m) of the odometry's samples, and whose each of N steps has, (N,).
+
+    Where some step begins before the first sample, there is one more, of a vehicle that stands.
+    """
+    values = values_of(log, "odometry")
+    if isinstance(log.odometry, RelativePoses):
+        return values, np.arange(len(timeline.control))
+    row = _samples_before(log.odometry, timeline.step_begin_s)
+    if row.all():
+        return values, row - 1
+    return np.vstack((np.zeros(2), values)), row
+
+
+def _samples_before(odometry: Wheels, time_s: Array) -> Index:
+    """How many samples are at or before times (N,), to rounding."""
+    late_s = time_s + np.maximum(1e-9, 2.0 * np.spacing(np.abs(time_s)))
+    return np.searchsorted(resolved(odometry.time_s), late_s, side="right")
 
 
 def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
@@ -110,18 +123,18 @@ def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         },
     )
     odometry = log.odometry
-    found, used = _moved(odometry, moves, drive, timeline)
-    yield from found
+    lines, used = _moved(log, moves, drive, timeline)
+    yield from lines
     yield from _jacobian(run, moves, timeline.step_duration_s)
     if not isinstance(odometry, RelativePoses):
-        others = [] if used is None else [used, _faster(used, timeline.step_duration_s)]
+        others = [] if used is None else [used, _at_the_speed(used, timeline.step_duration_s)]
         ways = [by_control, *(other.steps(every)[1] for other in others)]
         yield from _step_noise(odometry, run, ways, moves, rounding)
     else:
         yield from _displacement_noise(run, moves)
 
 
-def _faster(drive: _Drive, duration_s: Array) -> _Drive:
+def _at_the_speed(drive: _Drive, duration_s: Array) -> _Drive:
     """The same way, by another speed in place of another interval."""
     control = drive.control.copy()
     control[:, 0] *= drive.duration_s / duration_s
@@ -129,16 +142,16 @@ def _faster(drive: _Drive, duration_s: Array) -> _Drive:
 
 
 def _moved(
-    odometry: Odometry, moves: Quantity, drive: _Drive, timeline: Timeline
+    log: Log, moves: Quantity, drive: _Drive, timeline: Timeline
 ) -> tuple[list[str], _Drive | None]:
     """What leads elsewhere, and the drive that goes there, if it is one."""
     if not moves.off().any():
         return [], None
-    for mistake in _altered(odometry, moves, drive, timeline):
-        found = best(moves, [mistake.hypothesis])
-        if found is not None:
-            used = _where(moves.off(), mistake.altered(*found[1]), drive)
-            return [found[0].counted(found[1], moves)], used
+    for mistake in _altered(log, moves, drive, timeline):
+        fitted = best(moves, [mistake.hypothesis])
+        if fitted is not None:
+            used = _where(moves.off(), mistake.altered(*fitted[1]), drive)
+            return [fitted[0].counted(fitted[1], moves)], used
     return named(moves, _bent(moves, drive)), None
 
 
@@ -153,53 +166,57 @@ def _where(off: NDArray[np.bool_], there: _Drive, elsewhere: _Drive) -> _Drive:
     )
 
 
-def _altered(
-    odometry: Odometry, moves: Quantity, drive: _Drive, timeline: Timeline
-) -> Iterator[_Mistake]:
-    """Other controls, intervals and vehicles."""
-    if isinstance(odometry, RelativePoses):
-        yield from _other_displacements(drive)
+def _altered(log: Log, moves: Quantity, drive: _Drive, timeline: Timeline) -> Iterator[_Mistake]:
+    """Other controls, intervals and measures of the vehicle: those without a number first."""
+    (values, row), columns = read_controls(log, timeline), read_columns(log, "odometry")
+
+    def controlled(misread: Misreading) -> _Mistake:
+        def altered(*numbers: float) -> _Drive:
+            return replace(drive, control=misread.values(values, *numbers)[row])
+
+        return _Mistake(misread.said, altered, misread.start)
+
+    every = [controlled(one) for one in misreadings(columns, _LAGS)]
+    pairs = [controlled(one) for one in joined_misreadings(columns)]
+    if isinstance(log.odometry, RelativePoses):
+        yield from (*every, *pairs)
         return
-    u, s, model = drive.control, drive.duration_s, drive.model
-    car = isinstance(model, AckermannModel)
-    turn, unit = ("steering angle", "rad") if car else ("yaw rate", "rad/s")
-    control, interval = drive.by_control, drive.by_interval
-    yield control(f"the {turn} has the opposite sign", lambda: u * (1.0, -1.0))
-    yield control("the speed has the opposite sign", lambda: u * (-1.0, 1.0))
-    yield interval("a prediction uses the interval of the previous one", lambda: np.roll(s, 1))
-    yield drive.by_vehicle("the control is applied twice", lambda: _Twice(model))
-    yield from _vehicles(drive)
-    yield control(
-        "the speed is always {0:.4g} m/s", lambda c: np.column_stack((0.0 * s + c, u[:, 1])), 0.0
+    single, numbered = _by_numbers(every)
+    first, others = _by_numbers(list(_of_vehicle(log.odometry, drive)))
+    yield from (*single, *_other_steps(drive), *first, *_longer(drive), *numbered)
+    yield from (*_other_intervals(moves, drive), *others, *pairs)
+    yield from _other_clock(log.odometry, drive, timeline)
+
+
+def _by_numbers(mistakes: list[_Mistake]) -> tuple[list[_Mistake], list[_Mistake]]:
+    """Those without a number, and the others."""
+    return [one for one in mistakes if not one.start], [one for one in mistakes if one.start]
+
+
+def _other_steps(drive: _Drive) -> Iterator[_Mistake]:
+    s, model = drive.duration_s, drive.model
+    yield drive.by_interval(
+        "a prediction uses the interval of the previous one", lambda: np.roll(s, 1)
     )
-    yield control(
-        f"the {turn} is always {{0:.4g}} {unit}",
-        lambda c: np.column_stack((u[:, 0], 0.0 * s + c)),
-        0.0,
+    yield _Mistake("the control is applied twice", lambda: replace(drive, model=_Twice(model)), ())
+
+
+def _longer(drive: _Drive) -> Iterator[_Mistake]:
+    """Longer intervals, or a faster vehicle: of a car, whose turn goes with it, the speed alone."""
+    faster = times("the speed" if isinstance(drive.model, AckermannModel) else "the odometry",
+                   "the log's")  # fmt: skip
+
+    def text(factor: float) -> str:
+        return f"{faster(factor)}, or every prediction lasts {factor:.4g} times its interval"
+
+    yield drive.by_interval(text, lambda k: k * drive.duration_s, 1.0)
+
+
+def _other_intervals(moves: Quantity, drive: _Drive) -> Iterator[_Mistake]:
+    always_s = _always(moves, drive)
+    yield drive.by_interval(
+        f"the interval is always {always_s:.4g} s", lambda: 0.0 * drive.duration_s + always_s
     )
-    faster, longer = (
-        "the speed is {0:.4g} times the log's",
-        "every prediction lasts {0:.4g} times its interval",
-    )
-    if car:  # whose turn goes with the speed
-        yield interval(f"{faster}, or {longer}", lambda k: k * s, 1.0)
-    else:
-        yield interval(longer, lambda k: k * s, 1.0)
-        yield control(faster, lambda k: u * (k, 1.0), 1.0)
-    always = _always(moves, drive)
-    yield interval(f"the interval is always {always:.4g} s", lambda: 0.0 * s + always)
-    yield control("the speed has a bias of {0:+.4g} m/s", lambda b: u + (b, 0.0), 0.0)
-    yield control(times(f"the {turn}", "the log's"), lambda k: u * (1.0, k), 1.0)
-    yield control(f"the {turn} has a bias of {{0:+.3g}} {unit}", lambda b: u + (0.0, b), 0.0)
-    yield control(f"{faster} and the {turn} {{1:.4g}} times", lambda k, j: u * (k, j), 1.0, 1.0)
-    yield control(f"{faster} {{1:+.4g}} m/s", lambda k, b: u * (k, 1.0) + (b, 0.0), 1.0, 0.0)
-    yield control(
-        f"the {turn} is {{0:.4g}} times the log's {{1:+.3g}} {unit}",
-        lambda k, b: u * (1.0, k) + (0.0, b),
-        1.0,
-        0.0,
-    )
-    yield from _other_samples(odometry, drive, timeline, turn)
 
 
 def _always(moves: Quantity, drive: _Drive) -> float:
@@ -211,102 +228,28 @@ def _always(moves: Quantity, drive: _Drive) -> float:
     return float(np.median((far[driven] / meant[driven]) * drive.duration_s[driven]))
 
 
-def _vehicles(drive: _Drive) -> Iterator[_Mistake]:
-    """Measures of a car that are left out, of opposite sign, or others."""
+def _of_vehicle(odometry: Wheels, drive: _Drive) -> Iterator[_Mistake]:
+    """Other measures of a car."""
     model = drive.model
-    if not isinstance(model, AckermannModel):
+    if not isinstance(odometry, SteeringOdometry) or not isinstance(model, AckermannModel):
         return
-    sensor = "sensor_forward_m", "sensor_left_m"
-
-    def other(text: str, *parts: str) -> _Mistake:
-        own = [getattr(model, part) for part in parts]
-        said = text + f", in the log {text.partition(' is ')[2]}".format(*own)
-        return drive.by_vehicle(
-            said, lambda *fit: replace(model, **dict(zip(parts, fit, strict=True))), *own
+    for change in vehicle_changes(odometry.vehicle):
+        yield _Mistake(
+            change.words,
+            lambda *numbers, change=change: replace(
+                drive, model=replace(model, **change.measures(*numbers))
+            ),
+            change.start,
         )
 
-    def without(text: str, factor: float, *parts: str) -> _Mistake:
-        changed = {part: factor * getattr(model, part) for part in parts}
-        return drive.by_vehicle(text, lambda: replace(model, **changed))
 
-    for part in ("encoder_offset_m", *sensor):
-        if getattr(model, part):
-            yield without(f"{part} of the vehicle is left out", 0.0, part)
-            yield without(f"{part} of the vehicle has the opposite sign", -1.0, part)
-    yield without("the sensor's position on the vehicle is left out", 0.0, *sensor)
-    yield other("the wheelbase is {0:.3f} m", "wheelbase_m")
-    for part in ("encoder_offset_m", *sensor):
-        yield other(f"{part} of the vehicle is {{0:.4g}}", part)
-    yield other("the sensor's position on the vehicle is ({0:.4g}, {1:.4g}) m", *sensor)
-
-
-def _other_samples(
-    odometry: Wheels, drive: _Drive, timeline: Timeline, turn: str
-) -> Iterator[_Mistake]:
-    """Controls of other samples of the log: before, after, between, at another time."""
-    u = drive.control
-    if isinstance(odometry, SteeringOdometry):
-        second = odometry.steering_rad
-    else:
-        second = odometry.yaw_rate_radps
-    recorded = np.vstack((np.zeros(2), np.column_stack((odometry.speed_mps, second))))
-    times_s, begin_s = resolved(odometry.time_s), timeline.step_begin_s
-    begin_s = begin_s + np.maximum(1e-9, 2.0 * np.spacing(np.abs(begin_s)))
-
-    def at(seconds: float, lag: int = 0) -> Array:
-        sample = np.searchsorted(times_s, begin_s - seconds, side="right") - lag
-        controls: Array = recorded[np.clip(sample, 0, len(times_s))]
-        return controls
-
-    def taken(text: str, control: Array) -> _Mistake:
-        return drive.by_control(text, lambda: control)
-
-    for lag in _LAGS:
-        side, other = "late" if lag > 0 else "early", at(0.0, lag)
-        count = f"{abs(lag)} sample{'s' * (abs(lag) > 1)}"
-        yield taken(f"the odometry is used {count} {side}", other)
-        for k, name in enumerate(("speed", turn)):
-            mixed = u.copy()
-            mixed[:, k] = other[:, k]
-            yield taken(f"the {name} is used {count} {side}", mixed)
-    for lag, which in ((1, "previous"), (-1, "next")):
-        other, pair = at(0.0, lag), f"a sample and the {which} one"
-        yield taken(f"the control is the mean of {pair}", 0.5 * (u + other))
-        yield drive.by_control(
-            f"the control is interpolated {{0:.4g}} of the way between {pair}",
-            lambda share, other=other: u + share * (other - u),
-            0.0,
-        )
+def _other_clock(odometry: Wheels, drive: _Drive, timeline: Timeline) -> Iterator[_Mistake]:
+    """Controls of the samples of another time."""
+    values = np.vstack((np.zeros(2), np.column_stack(odometry.controls)))
     for seconds in _SHIFTS_S:
-        side = "late" if seconds > 0 else "early"
-        yield taken(f"the odometry is used {abs(seconds):.4g} s {side}", at(seconds))
-
-
-def _other_displacements(drive: _Drive) -> Iterator[_Mistake]:
-    """Of measured displacements ahead, left and turned."""
-    u, control = drive.control, drive.by_control
-    for lag, which in ((1, "previous"), (-1, "next")):
-        yield control(
-            f"the displacement is the {which} one", lambda lag=lag: np.roll(u, lag, axis=0)
-        )
-    parts = {
-        "the translation of the displacement": np.array((1.0, 1.0, 0.0)),
-        "the rotation of the displacement": np.array((0.0, 0.0, 1.0)),
-        "the forward displacement": np.array((1.0, 0.0, 0.0)),
-        "the leftward displacement": np.array((0.0, 1.0, 0.0)),
-        "the whole displacement": np.array((1.0, 1.0, 1.0)),
-    }
-    for name, part in parts.items():
-        yield control(
-            times(name, "the log's"), lambda k, part=part: u * (1.0 + (k - 1.0) * part), 1.0
-        )
-    for name, unit in (
-        ("the forward displacement", "m"),
-        ("the leftward displacement", "m"),
-        ("the rotation of the displacement", "rad"),
-    ):
-        said = f"{name} has a bias of {{0:+.4g}} {unit}"
-        yield control(said, lambda b, part=parts[name]: u + b * part, 0.0)
+        control = values[_samples_before(odometry, timeline.step_begin_s - seconds)]
+        text = f"the odometry is used {abs(seconds):.4g} s {'late' if seconds > 0 else 'early'}"
+        yield _Mistake(text, lambda control=control: replace(drive, control=control), ())
 
 
 def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
