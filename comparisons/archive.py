@@ -71,7 +71,7 @@ def read_entries(
     with _opened(path, names) as archive:
         held = [name for name in names if archive.holds(name)]
         headers = {name: archive.header(name, is_text=name in texts) for name in held}
-        _check_size(path, sum(one.entry_bytes for one in headers.values()), most)
+        _check_size(path, sum(header.entry_bytes for header in headers.values()), most)
         return {name: archive.unpacked(name, header) for name, header in headers.items()}
 
 
@@ -122,7 +122,7 @@ def _opened(path: Path, names: Iterable[str]) -> Iterator[_Archive]:
     check_regular(path)
     try:
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            yield _Archive(path, archive, {one.filename: one for one in archive.infolist()})
+            yield _Archive(path, archive, {entry.filename: entry for entry in archive.infolist()})
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (InputError, MemoryError):

@@ -140,10 +140,10 @@ def check_replaceable(target: Path, mark: str | None = None) -> Path:
 def check_apart(target: Path, inputs: Iterable[Path]) -> None:
     """Raises InputError where an output folder is or holds an input of the same command."""
     full = Path(os.path.realpath(target))
-    for one in inputs:
-        found = Path(os.path.realpath(one))
-        if found == full or full in found.parents:
-            raise InputError(f"{target}: holds {one}, which this command reads; give another one")
+    for path in inputs:
+        path = Path(os.path.realpath(path))
+        if path == full or full in path.parents:
+            raise InputError(f"{target}: holds {path}, which this command reads; give another one")
 
 
 def listed_files(folder: Path) -> dict[str, str]:
@@ -155,8 +155,8 @@ def listed_files(folder: Path) -> dict[str, str]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
         return {}
-    found = [_LISTED.fullmatch(line) for line in lines]
-    return {one[2]: one[1] for one in found if one is not None}
+    matches = [_LISTED.fullmatch(line) for line in lines]
+    return {match[2]: match[1] for match in matches if match is not None}
 
 
 def _check_earlier(target: Path, folder: Path, mark: str | None) -> None:
@@ -216,9 +216,9 @@ def check_above(path: Path) -> None:
 def free_beside(folder: Path) -> Path:
     """Return a folder beside another that is not there yet."""
     number = 2
-    while (found := folder.with_name(f"{folder.name}-{number}")).exists():
+    while (path := folder.with_name(f"{folder.name}-{number}")).exists():
         number += 1
-    return found
+    return path
 
 
 def folder_name(name: str) -> str:

@@ -114,7 +114,7 @@ class Change:
 def figures(found: Found) -> dict[str, Number]:
     """What a baseline keeps, by name: what has a side."""
     every = found_numbers(found)
-    return {name: one for name, one in every.items() if one.side not in (None, "left out")}
+    return {name: number for name, number in every.items() if number.side not in (None, "left out")}
 
 
 def build_baseline(results: Sequence[Found], config: RunConfig | CheckConfig) -> Baseline:
@@ -122,11 +122,11 @@ def build_baseline(results: Sequence[Found], config: RunConfig | CheckConfig) ->
     first = results[0]
     every = [figures(result) for result in results]
     kept = {}
-    for name, one in every[0].items():
+    for name, number in every[0].items():
         values = [run[name].value for run in every if name in run]
         some = [value for value in values if value is not None]
         spread = max(some) - min(some) if some else 0.0
-        kept[name] = Metric(value=one.value, tolerance=_tolerance(one, spread))
+        kept[name] = Metric(value=number.value, tolerance=_tolerance(number, spread))
     return Baseline(
         log=first.log.name,
         sha256=first.log.sha256,
@@ -146,12 +146,12 @@ def updated(baseline: Baseline, found: Found, config: RunConfig | CheckConfig) -
     or from repetitions, stays. config: for files that have none.
     """
     kept = {}
-    for name, one in figures(found).items():
+    for name, number in figures(found).items():
         old = baseline.metrics.get(name)
-        tolerance = _tolerance(one)
-        if old is not None and old.tolerance != _tolerance(one._replace(value=old.value)):
+        tolerance = _tolerance(number)
+        if old is not None and old.tolerance != _tolerance(number._replace(value=old.value)):
             tolerance = old.tolerance
-        kept[name] = Metric(value=one.value, tolerance=tolerance)
+        kept[name] = Metric(value=number.value, tolerance=tolerance)
     return baseline.model_copy(
         update={
             "config": baseline.config or _kept_config(config),
@@ -194,9 +194,11 @@ def changes_of(
     ]
     none = Metric(value=None, tolerance=0.0)
     for name in dict.fromkeys((*baseline.metrics, *found)):
-        kept, one = baseline.metrics.get(name, none), found.get(name, Number(None))
-        state = _state(kept, one)
-        changes.append(Change(name, kept.value, one.value, kept.tolerance, state, side=one.side))
+        kept, number = baseline.metrics.get(name, none), found.get(name, Number(None))
+        state = _state(kept, number)
+        changes.append(
+            Change(name, kept.value, number.value, kept.tolerance, state, side=number.side)
+        )
     return changes
 
 
@@ -245,7 +247,7 @@ def write_junit(
 
     causes: of the verdict; they stand with what is worse in words.
     """
-    why = "\n".join(f"{one.gap}: {one.evidence}; {one.hint}" for one in causes)
+    why = "\n".join(f"{cause.gap}: {cause.evidence}; {cause.hint}" for cause in causes)
     failed = sum(not change.holds for change in changes)
     suite = ElementTree.Element(
         "testsuite",
@@ -265,24 +267,24 @@ def write_junit(
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), JUNIT)
 
 
-def _tolerance(one: Number, spread: float = 0.0) -> float:
-    if one.value is None or one.exact:
+def _tolerance(number: Number, spread: float = 0.0) -> float:
+    if number.value is None or number.exact:
         return 0.0
-    return max(RELATIVE * abs(one.value), LEAST, NOISE * spread)
+    return max(RELATIVE * abs(number.value), LEAST, NOISE * spread)
 
 
-def _state(kept: Metric, one: Number) -> State:
-    then, value, side = kept.value, one.value, one.side
+def _state(kept: Metric, number: Number) -> State:
+    then, value, side = kept.value, number.value, number.side
     if side == "count":
         then, value = then or 0.0, value or 0.0
     if then is None or value is None:
         return "holds" if then is value else "broken" if value is None else "new"
-    if one.rounding is not None and then <= one.rounding:
-        return "holds" if value <= one.rounding else "broken"  # either is rounding
+    if number.rounding is not None and then <= number.rounding:
+        return "holds" if value <= number.rounding else "broken"  # either is rounding
     if abs(value - then) <= kept.tolerance:
         return "holds"
     if side == "nominal":
-        return "better" if abs(value - one.nominal) < abs(then - one.nominal) else "broken"
+        return "better" if abs(value - number.nominal) < abs(then - number.nominal) else "broken"
     return "better" if side == ("less" if value < then else "more") else "broken"
 
 
@@ -302,9 +304,9 @@ def _words(found: Found) -> dict[str, str | None]:
     return {name: getattr(found, name) for name in names}
 
 
-def _all_words(one: Baseline | Found) -> dict[str, str | None]:
-    words = one.words if isinstance(one, Baseline) else _words(one)
-    return {"verdict": one.verdict, **words}
+def _all_words(baseline: Baseline | Found) -> dict[str, str | None]:
+    words = baseline.words if isinstance(baseline, Baseline) else _words(baseline)
+    return {"verdict": baseline.verdict, **words}
 
 
 def _kept_config(config: RunConfig | CheckConfig) -> dict[str, Any]:

@@ -529,7 +529,9 @@ class Configured(JobConfig):
 
     def libraries(self) -> dict[str, str]:
         """Those of all extensions."""
-        return {k: v for one in self.extensions.values() for k, v in one.libraries().items()}
+        return {
+            k: v for extension in self.extensions.values() for k, v in extension.libraries().items()
+        }
 
     def settings_of(self, name: str) -> ExtensionConfig:
         """Return an extension's settings, the preset's where it takes no part."""
@@ -792,7 +794,9 @@ def _follow(
         models = [one for one in found if isinstance(one, type) and issubclass(one, BaseModel)]
         if field is not None and isinstance(field.discriminator, str):
             tag, key = str(next(parts, "")), field.discriminator
-            models = [one for one in models if tag in choices_of(one.model_fields[key].annotation)]
+            models = [
+                model for model in models if tag in choices_of(model.model_fields[key].annotation)
+            ]
         section = models[0] if len(models) == 1 else None
     return keys, section
 
@@ -800,8 +804,8 @@ def _follow(
 def choices_of(annotation: Any) -> tuple[str, ...]:
     """The words that a field may be, in whatever they are wrapped."""
     if get_origin(annotation) is Literal:
-        return tuple(str(one) for one in get_args(annotation))
-    return next((found for one in get_args(annotation) if (found := choices_of(one))), ())
+        return tuple(str(choice) for choice in get_args(annotation))
+    return next((found for choice in get_args(annotation) if (found := choices_of(choice))), ())
 
 
 def json_schema(kind: type[SettingsGroup]) -> dict[str, Any]:

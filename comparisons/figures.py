@@ -181,11 +181,12 @@ def kept_fields(kind: Any) -> Mapping[str, Declared]:
     found: dict[str, tuple[Any, Sequence[Any]]] = {}
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         found = {
-            name: (one.annotation, (one, *one.metadata)) for name, one in kind.model_fields.items()
+            name: (field.annotation, (field, *field.metadata))
+            for name, field in kind.model_fields.items()
         }
     elif isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind, include_extras=True)
-        hints = {one.name: hints[one.name] for one in dataclasses.fields(kind)} | {
+        hints = {field.name: hints[field.name] for field in dataclasses.fields(kind)} | {
             name: get_type_hints(value.wrapped.fget, include_extras=True)["return"]
             for name, value in vars(kind).items()
             if hasattr(value, "decorator_info")
@@ -194,7 +195,7 @@ def kept_fields(kind: Any) -> Mapping[str, Declared]:
     return {
         name: Declared(
             next((one for one in map(_type_in_files, extra) if one is not None), hint),
-            next((one for one in extra if isinstance(one, Mark)), _UNMARKED),
+            next((mark for mark in extra if isinstance(mark, Mark)), _UNMARKED),
             next((one for one in extra if isinstance(one, Named)), None),
         )
         for name, (hint, extra) in found.items()
@@ -202,9 +203,9 @@ def kept_fields(kind: Any) -> Mapping[str, Declared]:
     }
 
 
-def _type_in_files(one: Any) -> Any:
+def _type_in_files(serializer: Any) -> Any:
     """Return the type that a field's mark says files have, None where it says none."""
-    kind: Any = one.return_type if isinstance(one, PlainSerializer) else None
+    kind: Any = serializer.return_type if isinstance(serializer, PlainSerializer) else None
     return None if kind is PydanticUndefined else kind
 
 

@@ -101,7 +101,7 @@ def _lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None
 
     Only flags that are given count, so that a flag can also take a file's value back.
     """
-    for flag, value in sorted(flags, key=lambda one: bool(one[0].within)):
+    for flag, value in sorted(flags, key=lambda flag: bool(flag[0].within)):
         flag.lay_over(config, value)
 
 

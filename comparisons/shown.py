@@ -33,7 +33,7 @@ class Brief:
 
     def __repr__(self) -> str:
         """Return the class and its fields."""
-        found = {one.name: getattr(self, one.name) for one in fields(cast(Any, self))}
+        found = {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
         return brief(type(self).__name__, found)
 
 

@@ -429,7 +429,7 @@ def block_departure(
 
     whole: out of its band. blocks: of it. None where no error has a direction.
     """
-    every = {name: _clear(one) for name, one in {"": whole, **blocks}.items()}
+    every = {name: _clear(errors) for name, errors in {"": whole, **blocks}.items()}
     found = {name: averaged(e.squared, e.dof, np.arange(len(e.dof))) for name, e in every.items()}
     of = found.pop("")
     if of is None:
@@ -530,7 +530,7 @@ def likelier_orders(
                 found.append(RowOrder(order, p))
     except np.linalg.LinAlgError:
         return []
-    return sorted(found, key=lambda one: -one.p_value)
+    return sorted(found, key=lambda order: -order.p_value)
 
 
 def _first_chance(error: Array, prior: Array, left: Array) -> float:

@@ -28,12 +28,12 @@ of diameters on Victoria Park, measurement by measurement."""
 
 def measured_attributes(log: Log) -> MeasuredAttributes:
     """Diameter and intensity of each measurement (M, 2), NaN where the log has none."""
-    seen = log.measurements
-    variance = np.empty((len(seen.time_s), 2))
-    variance[:, 0] = (seen.range_m * SIGMA_WIDTH_RAD) ** 2 + SIGMA_SHAPE_M**2
-    intensity = seen.intensity
+    measurements = log.measurements
+    variance = np.empty((len(measurements.time_s), 2))
+    variance[:, 0] = (measurements.range_m * SIGMA_WIDTH_RAD) ** 2 + SIGMA_SHAPE_M**2
+    intensity = measurements.intensity
     variance[:, BRIGHTNESS] = (SIGMA_INTENSITY * _unit(intensity)) ** 2
-    return MeasuredAttributes(np.column_stack((seen.diameter_m, intensity)), variance)
+    return MeasuredAttributes(np.column_stack((measurements.diameter_m, intensity)), variance)
 
 
 def _unit(value: Array) -> float:

@@ -55,23 +55,23 @@ class FilterObservers:
 
     def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Call every observer."""
-        for one in self._watching:
-            one.before_predict(ekf, time_s, control, duration_s)
+        for observer in self._watching:
+            observer.before_predict(ekf, time_s, control, duration_s)
 
     def on_predict(self, ekf: Ekf) -> None:
         """Call every observer."""
-        for one in self._watching:
-            one.on_predict(ekf)
+        for observer in self._watching:
+            observer.on_predict(ekf)
 
     def on_update(self, ekf: Ekf) -> None:
         """Call every observer."""
-        for one in self._watching:
-            one.on_update(ekf)
+        for observer in self._watching:
+            observer.on_update(ekf)
 
     def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Call every observer."""
-        for one in self._watching:
-            one.on_end(ekf, time_s)
+        for observer in self._watching:
+            observer.on_end(ekf, time_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,9 +121,9 @@ def run_filter_loop(
     steps, first = timeline.steps_until(), timeline.measurements_until()
     begins, durations = timeline.step_begin_s.tolist(), timeline.step_duration_s.tolist()
     first_fix = timeline.positions_until()
-    seen, done = log.measurements, 0
-    z = np.column_stack((seen.range_m, seen.bearing_rad))
-    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
+    measurements, done = log.measurements, 0
+    z = np.column_stack((measurements.range_m, measurements.bearing_rad))
+    sigma = np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))
     reported = measured_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
@@ -140,7 +140,7 @@ def run_filter_loop(
             if rows.start < rows.stop:
                 which = np.arange(rows.start, rows.stop)
                 landmark_indices = ekf.observe(
-                    z[rows], sigma[rows], seen.landmark[rows], time_s, reported.take(which)
+                    z[rows], sigma[rows], measurements.landmark[rows], time_s, reported.take(which)
                 )
             if positions is not None:
                 for g in range(int(first_fix[k]), int(first_fix[k + 1])):

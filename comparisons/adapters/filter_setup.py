@@ -41,7 +41,7 @@ class FilterSetup:
 
     def find(self, kind: type[T]) -> T | None:
         """Return the first offer of a class; None where there is none."""
-        return next((one for one in self.offers if isinstance(one, kind)), None)
+        return next((offer for offer in self.offers if isinstance(offer, kind)), None)
 
     def apply(self, ekf: Ekf) -> set[int]:
         """Change the filter as asked. Return the set that will hold deactivated landmarks."""
@@ -59,4 +59,6 @@ class FilterSetup:
     def watcher(self) -> FilterObservers:
         """All that observe, as one."""
         both: Sequence[object] = (*self.observers, self.source)
-        return FilterObservers([one for one in both if isinstance(one, FilterObserver)])
+        return FilterObservers(
+            [observer for observer in both if isinstance(observer, FilterObserver)]
+        )

@@ -47,8 +47,10 @@ class SequentialEkf(Ekf):
         landmark_indices = np.empty(len(z), dtype=np.intp)
         for i in self.order(z, identity):
             row = np.array([i])
-            own = attributes.take(row)
-            landmark_indices[row] = super().observe(z[row], sigma[row], identity[row], time_s, own)
+            measured_attributes = attributes.take(row)
+            landmark_indices[row] = super().observe(
+                z[row], sigma[row], identity[row], time_s, measured_attributes
+            )
         return landmark_indices
 
 
@@ -67,14 +69,14 @@ FarthestFirstEkf = in_order(lambda z, label: np.argsort(-z[:, 0], kind="stable")
 class ScalarEkf(SequentialEkf):
     """The EKF that updates by the entries of a measurement, one after the other."""
 
-    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
-        model = self.models[seen.kind]
+    def _fuse(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
+        model = self.models[measurements.kind]
         for row in rows.tolist():
-            for entry in range(seen.kind.width):
-                local = self.state.map_of(landmark_indices[[row]], seen.kind)
+            for entry in range(measurements.kind.width):
+                local = self.state.map_of(landmark_indices[[row]], measurements.kind)
                 expected, *parts = model.predict(local.pose, local.landmark)
-                innovation = model.innovation(seen.z[[row]], expected).ravel()
-                noise = seen.noise[row, entry, entry] * np.eye(1)
+                innovation = model.innovation(measurements.z[[row]], expected).ravel()
+                noise = measurements.noise[row, entry, entry] * np.eye(1)
                 jacobian = stack(*parts)[[entry]]
                 self.state.update(local.columns, jacobian, innovation[[entry]], noise)
 
@@ -85,21 +87,23 @@ class NewFirstEkf(Ekf):
     The landmarks move with the update, being correlated with the pose.
     """
 
-    def use(self, seen: Measurements, landmark_indices: Index) -> None:
+    def use(self, measurements: Measurements, landmark_indices: Index) -> None:
         """Augment, then update. Arguments as of `Ekf.use`."""
-        mapped = len(self.state.layout.first[seen.kind])
+        mapped = len(self.state.layout.first[measurements.kind])
         new = np.flatnonzero(landmark_indices >= mapped)
         first = np.sort(new[np.unique(landmark_indices[new], return_index=True)[1]])
         used = np.flatnonzero(landmark_indices >= 0)
         if len(first):
-            used = self.placed(seen, landmark_indices, first, used)
+            used = self.placed(measurements, landmark_indices, first, used)
         for rows in self.parts(used):
-            self._fuse(seen, landmark_indices, rows)
-        self.take_numbers(seen.kind.name, len(landmark_indices))
+            self._fuse(measurements, landmark_indices, rows)
+        self.take_numbers(measurements.kind.name, len(landmark_indices))
 
-    def placed(self, seen: Measurements, landmark_indices: Index, new: Index, used: Index) -> Index:
+    def placed(
+        self, measurements: Measurements, landmark_indices: Index, new: Index, used: Index
+    ) -> Index:
         """Augment by some of the rows in use; return those that are left for the update."""
-        self._initialise(seen, landmark_indices, new)
+        self._initialise(measurements, landmark_indices, new)
         return np.setdiff1d(used, new)
 
     def parts(self, rows: Index) -> Iterable[Index]:
@@ -124,13 +128,15 @@ class UnknownFirstSequentialEkf(NewFirstSequentialEkf):
     vast_variance: ClassVar[float] = 1e6
     """[m^2]"""
 
-    def placed(self, seen: Measurements, landmark_indices: Index, new: Index, used: Index) -> Index:
+    def placed(
+        self, measurements: Measurements, landmark_indices: Index, new: Index, used: Index
+    ) -> Index:
         """Augment by landmarks that are correlated with nothing; all rows are left."""
-        point = self.models[seen.kind].invert(self.state.pose, seen.z[new]).landmark
-        own = NewLandmarks.independent(point, len(self.state.pose))
-        vast = np.tile(self.vast_variance * np.eye(seen.kind.width), (len(new), 1, 1))
-        number = self._count[seen.kind.name] + new
-        self._append(seen.kind, number, landmark_indices[new], own, vast, weight=0.0)
+        point = self.models[measurements.kind].invert(self.state.pose, measurements.z[new]).landmark
+        landmarks = NewLandmarks.independent(point, len(self.state.pose))
+        vast = np.tile(self.vast_variance * np.eye(measurements.kind.width), (len(new), 1, 1))
+        number = self._count[measurements.kind.name] + new
+        self._append(measurements.kind, number, landmark_indices[new], landmarks, vast, weight=0.0)
         return used
 
 
@@ -139,23 +145,25 @@ class IteratedEkf(Ekf):
 
     most_iterations: ClassVar[int] = 20
 
-    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+    def _fuse(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
             return
         landmark_index, z, noise, model = (
             landmark_indices[rows],
-            seen.z[rows],
-            seen.noise[rows],
-            self.models[seen.kind],
+            measurements.z[rows],
+            measurements.noise[rows],
+            self.models[measurements.kind],
         )
         r = block_diagonal(noise)
 
         def linearise() -> Linearised:
-            local = self.state.map_of(landmark_index, seen.kind)
+            local = self.state.map_of(landmark_index, measurements.kind)
             p, prior = local.covariance, np.concatenate((local.pose, local.landmark.ravel()))
             sigma, at, v = np.sqrt(np.diag(p)), prior, len(local.pose)
             for _ in range(self.most_iterations):
-                expected, *parts = model.predict(at[:v], at[v:].reshape(-1, seen.kind.width))
+                expected, *parts = model.predict(
+                    at[:v], at[v:].reshape(-1, measurements.kind.width)
+                )
                 jacobian = stack(*parts)
                 innovation = model.innovation(z, expected).ravel() - jacobian @ (prior - at)
                 s = jacobian @ p @ jacobian.T + r
@@ -164,7 +172,7 @@ class IteratedEkf(Ekf):
                     break
             return Linearised(local, jacobian, innovation)
 
-        self.fuse(linearise, noise, self._count[seen.kind.name] + rows, landmark_index)
+        self.fuse(linearise, noise, self._count[measurements.kind.name] + rows, landmark_index)
 
 
 class FirstEstimatesEkf(Ekf):
@@ -191,14 +199,16 @@ class FirstEstimatesEkf(Ekf):
         self.state.predict(step.pose, f, noise)
         self._predicted = step.pose
 
-    def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
-        model = self.models[seen.kind]
-        point = model.invert(self.state.pose, seen.z[rows]).landmark
+    def _initialise(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
+        model = self.models[measurements.kind]
+        point = model.invert(self.state.pose, measurements.z[rows]).landmark
         _, by_pose, by_landmark = model.predict(self._predicted, point)
         by_z = np.asarray(np.linalg.inv(by_landmark), dtype=float)
         new = NewLandmarks(point, -by_z @ by_pose, by_z)
-        number = self._count[seen.kind.name] + rows
-        self._append(seen.kind, number, landmark_indices[rows], new, seen.noise[rows])
+        number = self._count[measurements.kind.name] + rows
+        self._append(
+            measurements.kind, number, landmark_indices[rows], new, measurements.noise[rows]
+        )
 
     def _append(
         self,
@@ -214,19 +224,26 @@ class FirstEstimatesEkf(Ekf):
         self._first[kind] = np.vstack((self._first[kind], new.landmark))
         super()._append(kind, number, landmark_index, new, noise, weight=weight)
 
-    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+    def _fuse(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
             return
-        landmark_index, model = landmark_indices[rows], self.models[seen.kind]
+        landmark_index, model = landmark_indices[rows], self.models[measurements.kind]
 
         def linearise() -> Linearised:
-            local = self.state.map_of(landmark_index, seen.kind)
+            local = self.state.map_of(landmark_index, measurements.kind)
             expected = model.predict(local.pose, local.landmark).z
-            _, *parts = model.predict(self._predicted, self._first[seen.kind][landmark_index])
-            innovation = model.innovation(seen.z[rows], expected).ravel()
+            _, *parts = model.predict(
+                self._predicted, self._first[measurements.kind][landmark_index]
+            )
+            innovation = model.innovation(measurements.z[rows], expected).ravel()
             return Linearised(local, stack(*parts), innovation)
 
-        self.fuse(linearise, seen.noise[rows], self._count[seen.kind.name] + rows, landmark_index)
+        self.fuse(
+            linearise,
+            measurements.noise[rows],
+            self._count[measurements.kind.name] + rows,
+            landmark_index,
+        )
 
 
 class InvariantState(KalmanState):
@@ -366,38 +383,47 @@ class UnscentedEkf(Ekf):
         noise = b @ covariance @ b.T + y.rest + self.stabilisation.covariance(duration_s, y.mean)
         self.state.predict(y.mean, y.slope[:, :v], noise)
 
-    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+    def _fuse(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
         if len(np.unique(landmark_indices[rows])) < len(
             rows
         ):  # two of one landmark have one set of entries
             for row in rows:
-                self._fuse(seen, landmark_indices, np.array([row]))
+                self._fuse(measurements, landmark_indices, np.array([row]))
             return
         if not len(rows):
             return
-        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.kind]
-        local = self.state.map_of(landmark_index, seen.kind)
+        landmark_index, z, model = (
+            landmark_indices[rows],
+            measurements.z[rows],
+            self.models[measurements.kind],
+        )
+        local = self.state.map_of(landmark_index, measurements.kind)
         v = len(local.pose)
 
         def measured(points: Array) -> Array:
-            seen_at = (model.predict(x[:v], x[v:].reshape(-1, seen.kind.width)).z for x in points)
+            seen_at = (
+                model.predict(x[:v], x[v:].reshape(-1, measurements.kind.width)).z for x in points
+            )
             return np.array([one.ravel() for one in seen_at])
 
         def apart(y: Array, middle: Array) -> Array:
-            pairs = y.reshape(-1, seen.kind.width), middle.reshape(-1, seen.kind.width)
+            pairs = (
+                y.reshape(-1, measurements.kind.width),
+                middle.reshape(-1, measurements.kind.width),
+            )
             return model.innovation(pairs[0], np.tile(pairs[1], (len(y), 1))).reshape(y.shape)
 
         prior = np.concatenate((local.pose, local.landmark.ravel()))
         y = unscented(prior, local.covariance, measured, apart, points=self.points)
         innovation = model.innovation(z, y.mean.reshape(z.shape)).ravel()
-        noise = block_diagonal(seen.noise[rows]) + y.rest
+        noise = block_diagonal(measurements.noise[rows]) + y.rest
         self.state.update(local.columns, y.slope, innovation, noise)
 
-    def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+    def _initialise(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not self.starts:
-            super()._initialise(seen, landmark_indices, rows)
+            super()._initialise(measurements, landmark_indices, rows)
             return
-        pose, model, p = self.state.pose, self.models[seen.kind], self.state.pose_covariance
+        pose, model, p = self.state.pose, self.models[measurements.kind], self.state.pose_covariance
         found = []
         for row in rows:
 
@@ -406,16 +432,16 @@ class UnscentedEkf(Ekf):
                     [model.invert(x[: len(p)], x[None, len(p) :]).landmark[0] for x in points]
                 )
 
-            both = block_diag(p, seen.noise[row])
-            x = np.concatenate((pose, seen.z[row]))
+            both = block_diag(p, measurements.noise[row])
+            x = np.concatenate((pose, measurements.z[row]))
             found.append(unscented(x, both, placed, points=self.points))
         slope = np.array([y.slope for y in found])
         by_z, rest = slope[:, :, len(p) :], np.array([y.rest for y in found])
-        noise = by_z @ seen.noise[rows] @ by_z.transpose(0, 2, 1) + rest
-        own = np.broadcast_to(np.eye(seen.kind.width), rest.shape)
+        noise = by_z @ measurements.noise[rows] @ by_z.transpose(0, 2, 1) + rest
+        own = np.broadcast_to(np.eye(measurements.kind.width), rest.shape)
         new = NewLandmarks(np.array([y.mean for y in found]), slope[:, :, : len(p)], own)
-        number = self._count[seen.kind.name] + rows
-        self._append(seen.kind, number, landmark_indices[rows], new, noise)
+        number = self._count[measurements.kind.name] + rows
+        self._append(measurements.kind, number, landmark_indices[rows], new, noise)
 
 
 class WideUnscentedEkf(UnscentedEkf):

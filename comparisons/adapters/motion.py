@@ -58,8 +58,8 @@ def check_regular(log: Log, timeline: Timeline) -> None:
     bad, count = _singular(log, timeline)
     if len(bad):
         begin_s, end_s = timeline.epoch_time_s[bad[0] : bad[0] + 2]
-        found, noise = _enough(log, odometry, timeline, bad), odometry.noise
-        p, h = found.variance_rate_position, found.variance_rate_heading
+        odometry_noise, noise = _enough(log, odometry, timeline, bad), odometry.noise
+        p, h = odometry_noise.variance_rate_position, odometry_noise.variance_rate_heading
         said = [f"variance_rate_position = {p:.0e} (m^2/s)"] * (p > noise.variance_rate_position)
         said += [f"variance_rate_heading = {h:.0e} (rad^2/s)"] * (h > noise.variance_rate_heading)
         raise InputError(

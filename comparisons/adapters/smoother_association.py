@@ -45,9 +45,9 @@ class Optimum(NamedTuple):
     kernel: str
 
     @classmethod
-    def of(cls, own: SmootherAssociation, result: SmootherEvidence) -> Optimum:
+    def of(cls, association: SmootherAssociation, result: SmootherEvidence) -> Optimum:
         """Return that of the result with an association."""
-        used, rejected = np.flatnonzero(own.landmark_index >= 0), result.rejected
+        used, rejected = np.flatnonzero(association.landmark_index >= 0), result.rejected
         kernel = result.options.kernel
         return cls(result.poses[-1], used[rejected.measurements], rejected.positions, kernel)
 
@@ -106,41 +106,41 @@ class OwnAssociator:
         """Decide in other ways, and optimise with each. optimum: with the association found."""
         found = []
         for variant in variants:
-            own = self._completed(associate_by(self.problem, variant, optimum.last_pose))
-            found.append(self._optimised(variant.name, own, optimum))
+            association = self._completed(associate_by(self.problem, variant, optimum.last_pose))
+            found.append(self._optimised(variant.name, association, optimum))
         return found
 
-    def _completed(self, found: AssociationResult) -> SmootherAssociation:
+    def _completed(self, result: AssociationResult) -> SmootherAssociation:
         """The same of all measurements, the surveyed landmarks coming first."""
         landmark_index, known = self._fixed.copy(), len(self._places)
         landmark_index[self.open_rows] = np.where(
-            found.landmark_index >= 0, found.landmark_index + known, -1
+            result.landmark_index >= 0, result.landmark_index + known, -1
         )
         problem = assemble(
-            self._log, self._timeline, landmark_index, known + found.landmark_count, self._rows
+            self._log, self._timeline, landmark_index, known + result.landmark_count, self._rows
         )
-        places = np.vstack((self._places, found.landmarks))
-        return SmootherAssociation(landmark_index, problem, found.poses, places)
+        places = np.vstack((self._places, result.landmarks))
+        return SmootherAssociation(landmark_index, problem, result.poses, places)
 
     def _optimised(
-        self, name: str, own: SmootherAssociation, optimum: Optimum
+        self, name: str, association: SmootherAssociation, optimum: Optimum
     ) -> AlternativeAssociation:
         """The optimum with another association."""
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
 
-        problem, landmark_index = own.problem, own.landmark_index
+        problem, landmark_index = association.problem, association.landmark_index
         kept = ~np.isin(np.flatnonzero(landmark_index >= 0), optimum.outliers)
         fixes = np.ones(len(problem.position_pose), dtype=bool)
         fixes[optimum.outlier_positions] = False
         problem = problem.keep(kept, fixes)
         seen = np.union1d(problem.measurement_landmark, np.arange(len(self._places)))
         graph = build_graph(problem, optimum.kernel)
-        start = to_values(own.poses, own.landmarks, seen, problem.pose_landmarks)
+        start = to_values(association.poses, association.landmarks, seen, problem.pose_landmarks)
         try:
             end, *_ = levenberg_marquardt(graph, start, 1e-6)
         except RuntimeError:  # gtsam's indeterminate linear system
-            return AlternativeAssociation(name, landmark_index, own.poses, float("inf"))
+            return AlternativeAssociation(name, landmark_index, association.poses, float("inf"))
         return AlternativeAssociation(
             name, landmark_index, from_values(end, problem)[0], 2.0 * float(graph.error(end))
         )

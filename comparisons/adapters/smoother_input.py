@@ -68,7 +68,7 @@ def assemble(
 ) -> SlamProblem:
     """Return the log as arrays. landmark_index: (M,) of the measurements, negative where unused."""
     used = np.flatnonzero(landmark_index >= 0)
-    seen = log.measurements
+    measurements = log.measurements
     composed = composed_motion(log, timeline)
     _, surveyed_place, surveyed_covariance = surveyed(log)
     return SlamProblem(
@@ -78,8 +78,8 @@ def assemble(
         increment_covariance=composed.covariance,
         measurement_pose=timeline.measurement_epoch[used],
         measurement_landmark=landmark_index[used],
-        z=np.column_stack((seen.range_m, seen.bearing_rad))[used],
-        sigma=np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
+        z=np.column_stack((measurements.range_m, measurements.bearing_rad))[used],
+        sigma=np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))[used],
         landmark_count=landmark_count,
         position_pose=fixes.epoch,
         position=fixes.position,
@@ -121,7 +121,7 @@ def _recorded_until(run: EkfRun) -> Index:
     """Steps made at each of F1's poses: the run's, and where it used what is not of their time."""
     trace, until = run.trace, run.timeline.steps_until()
     records = (*trace.measurements.values(), *trace.initialisations.values(), trace.positions)
-    return np.union1d(until, np.concatenate([one.step for one in records]))
+    return np.union1d(until, np.concatenate([record.step for record in records]))
 
 
 def model_system_of(problem: SlamProblem, run: EkfRun) -> LinearProblem:
@@ -180,13 +180,13 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     final, estimate = run.final, run.estimate
     size = estimate.landmark.size + estimate.pose_landmarks.size
     own = np.vstack((run.trace.departed, final.own))[_recorded_until(run)]
-    found = solve(linear, own, _places(estimate.landmark, run.pose_landmark_places))
+    marginal = solve(linear, own, _places(estimate.landmark, run.pose_landmark_places))
     p = len(final.own)
     read = np.zeros((3 + size, p + size))
     read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
-    mean = np.concatenate((final.pose, found.mean[p:]))
-    mean[:3] += final.jacobian @ (found.mean[:p] - final.own)
-    return Marginal(mean, read @ found.covariance @ read.T)
+    mean = np.concatenate((final.pose, marginal.mean[p:]))
+    mean[:3] += final.jacobian @ (marginal.mean[:p] - final.own)
+    return Marginal(mean, read @ marginal.covariance @ read.T)
 
 
 def solve_model(linear: LinearProblem, run: EkfRun) -> Marginal:

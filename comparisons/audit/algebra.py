@@ -275,7 +275,7 @@ class AlgebraCheck:
     def faults(self) -> tuple[str, ...]:
         """Return all faults in words, with their times where events have them."""
         self.end()
-        return tuple(one.text for one in self.findings(timed=True) if one.fault)
+        return tuple(finding.text for finding in self.findings(timed=True) if finding.fault)
 
     def _gain(self, event: Update, fused: Fused, before: Array) -> None:
         """Compare gain and correction with Kalman's. before: P before the update."""
@@ -291,14 +291,19 @@ class AlgebraCheck:
             self.note_precision(event.number, event.gain, event.correction)
             if event.gain is None:
                 self._open[event.number] = event
-        for one in unlike:
-            what = (self._name(event, before, one) if one.kind else None) or one.what
+        for mismatch in unlike:
+            what = (self._name(event, before, mismatch) if mismatch.kind else None) or mismatch.what
             text = f"{name_of(event)} {what}"
-            check = "correction" if one.fault else "gain"
+            check = "correction" if mismatch.fault else "gain"
             finding = AuditFinding(
-                check, one.fault, text, event.number, sensor=event.sensor, blocks=one.blocks
+                check,
+                mismatch.fault,
+                text,
+                event.number,
+                sensor=event.sensor,
+                blocks=mismatch.blocks,
             )
-            kind = one.kind if what == one.what and one.kind else what
+            kind = mismatch.kind if what == mismatch.what and mismatch.kind else what
             self._pending.append((finding, kind))
         if unlike:
             self._growth(event, before)
@@ -507,7 +512,9 @@ class AlgebraCheck:
 
     def _all_removed(self) -> bool:
         """Whether no block is left that a correction without a gain moves by another."""
-        others = {b for one, _ in self._pending if one.event in self._open for b in one.blocks}
+        others = {
+            b for finding, _ in self._pending if finding.event in self._open for b in finding.blocks
+        }
         return others.isdisjoint(self.replay.layout.dims)
 
     def _is_indifferent(self, recorded: Array, least: Array | None) -> bool:

@@ -219,10 +219,10 @@ class _Pass:
         figures = self._figures()
         spurious = None if self.spurious is None else self.spurious.result()
         self._name_spurious(spurious)
-        for name, one in self.innovations.turned():
-            text = f"sensor `{name}`: {one.what}"
-            finding = AuditFinding("innovations", True, text, one.event, sensor=name)
-            self.algebra.add(finding, one.what, one.weight)
+        for name, departure in self.innovations.turned():
+            text = f"sensor `{name}`: {departure.what}"
+            finding = AuditFinding("innovations", True, text, departure.event, sensor=name)
+            self.algebra.add(finding, departure.what, departure.weight)
         departing = [departures(one, level) for one in sensors]
         of_estimate = figures.departures(level)
         explained, consequences = self._explain(departing, of_estimate, level)
@@ -311,11 +311,11 @@ class _Pass:
         """Name what an update contradicts. fused: what the recursion made of it."""
         algebra = self.algebra
         sound = algebra.sound and algebra.known and algebra.optimal
-        for one in self.uses.take(event, fused, algebra.replay.layout, sound=sound):
-            update = one.update
-            text = f"{name_of(update)} {one.what}"
+        for contradiction in self.uses.take(event, fused, algebra.replay.layout, sound=sound):
+            update = contradiction.update
+            text = f"{name_of(update)} {contradiction.what}"
             finding = AuditFinding("use", True, text, update.number, sensor=update.sensor)
-            algebra.add(finding, one.kind)
+            algebra.add(finding, contradiction.kind)
 
     def _snapshot(self, snapshot: Snapshot) -> None:
         """Compare a snapshot with both solutions."""
@@ -414,30 +414,32 @@ class _Pass:
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
             self.algebra.add(AuditFinding("innovations", True, text, None, sensor=name), "unusable")
-        weight = max((one.weight for one in found), default=0.0)  # a sensor's go together
-        for one in found:
-            text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
+        weight = max(
+            (departure.weight for departure in found), default=0.0
+        )  # a sensor's go together
+        for departure in found:
+            text = f"sensor `{name}`: {departure.what} (p = {departure.p_value:.1g})"
             if not self.algebra.optimal:
                 text += "; its bands are those of Kalman's gain"
             text += f", explained by {cause}" if cause else ""
-            fault = self.algebra.optimal and one.fault and not cause
-            finding = AuditFinding("innovations", fault, text, one.event, sensor=name)
-            self.algebra.add(finding, one.what, weight)
+            fault = self.algebra.optimal and departure.fault and not cause
+            finding = AuditFinding("innovations", fault, text, departure.event, sensor=name)
+            self.algebra.add(finding, departure.what, weight)
 
     def _judge_estimate(
         self, kind: EstimateKind, those: Sequence[ConsistencyDeparture], cause: str
     ) -> None:
         """Name what departs of the estimate. cause: what explains all of it, if anything does."""
-        for one in those:
-            text = one.what + (f", explained by {cause}" if cause else "")
+        for departure in those:
+            text = departure.what + (f", explained by {cause}" if cause else "")
             fault = (kind == "nees" or self.algebra.optimal) and not cause
             check = "smoother" if kind == "smoother" else "nees"
-            finding = AuditFinding(check, fault, text, one.event)
-            self.algebra.add(finding, one.what, _CONSEQUENCE * one.weight)
+            finding = AuditFinding(check, fault, text, departure.event)
+            self.algebra.add(finding, departure.what, _CONSEQUENCE * departure.weight)
 
-    def _name_spurious(self, found: Learnt | None) -> None:
+    def _name_spurious(self, information: Learnt | None) -> None:
         """Name what was learnt of directions that the sensors cannot tell; no error of algebra."""
-        for one in () if found is None else found.directions:
+        for one in () if information is None else information.directions:
             if one.largest is not None:
                 text = (
                     f"the filter claims {one.name} to {one.sigma:.3g} {one.unit}".rstrip()

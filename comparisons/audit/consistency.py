@@ -160,9 +160,9 @@ class EventInnovations:
     def turned(self) -> list[tuple[str, ConsistencyDeparture]]:
         """Return sensors whose innovations are whole turns off, and what to say of each."""
         found = []
-        for (name, i), one in self._turned.items():
+        for (name, i), turn in self._turned.items():
             named = self._sensors.get(name, NO_SENSOR).components
-            said = one.departure(named[i] if i < len(named) else f"component {i}")
+            said = turn.departure(named[i] if i < len(named) else f"component {i}")
             if said is not None:
                 found.append((name, said))
         return found
@@ -187,7 +187,7 @@ def step_innovations(
     steps: Iterable[RecordedStep], sensors: Mapping[str, SensorDescription]
 ) -> tuple[SensorInnovations, ...]:
     """Return the innovations of all events, by sensor, with what moves predictions beside them."""
-    found = EventInnovations(sensors)
+    innovations = EventInnovations(sensors)
     replay: Replay
     for step in steps:
         event = step.event
@@ -196,10 +196,10 @@ def step_innovations(
             continue
         fused = apply_step(replay, step)
         if isinstance(event, Augment):
-            found.begin(event)
+            innovations.begin(event)
         elif isinstance(event, Update) and fused is not None:
-            found.add(event, fused, replay.layout)
-    return found.figures()
+            innovations.add(event, fused, replay.layout)
+    return innovations.figures()
 
 
 class Smoothed(NamedTuple):
@@ -252,8 +252,8 @@ class Anchors:
             dof.append(clear[0])
         events = np.array(self._event[-2::-1])
         kept = slice(0, len(squared) - self._begun)  # the beginning is judged by itself
-        found = averaged(np.array(squared)[kept], np.array(dof)[kept], events[kept])
-        return Smoothed(found, smoothed if self._begun and len(self._links) else None)
+        average = averaged(np.array(squared)[kept], np.array(dof)[kept], events[kept])
+        return Smoothed(average, smoothed if self._begun and len(self._links) else None)
 
 
 class BlockErrors:
@@ -313,10 +313,10 @@ class BlockErrors:
             averages: As `averages` returns them.
             level: Of all together, of a sound filter.
         """
-        blocks = {name: one for name, one in averages.items() if name}
+        blocks = {name: average for name, average in averages.items() if name}
         shares = {name: 0.5 * level / (len(blocks) if name else 2) for name in averages}
-        out = {n: one for n, one in averages.items() if one.p_value < shares[n]}
-        worst = rarest({n: one for n, one in out.items() if n}) or ""
+        out = {n: average for n, average in averages.items() if average.p_value < shares[n]}
+        worst = rarest({n: average for n, average in out.items() if n}) or ""
         if "" in out:
             return [self._departure("NEES", averages[""], worst, blocks.get(worst))]
         if worst:
@@ -378,7 +378,7 @@ def first_error(
     layout = layout.of(names)
     some = slice(layout.size)
     prior, error, left = prior[some, some], error[some], left[some, some]
-    found: ConsistencyDeparture | None = None
+    departure: ConsistencyDeparture | None = None
     row = 0
     for name in names:
         part = layout.entries(name)
@@ -388,13 +388,13 @@ def first_error(
             )
         p = chi2_tail(float(squared[0]), int(dof[0])) if dof[0] else 1.0
         weight = rarity(float(squared[0]) / max(int(dof[0]), 1), int(dof[0]))
-        if p >= level / len(names) or (found is not None and found.weight >= weight):
+        if p >= level / len(names) or (departure is not None and departure.weight >= weight):
             continue
         gained = np.sqrt(np.maximum((prior - left).diagonal()[part], 0.0))
         sigmas = np.abs(error[part]) / np.where(gained > 0.0, gained, np.inf)
         row = part.start + int(np.argmax(sigmas))
-        found = ConsistencyDeparture("", p, 0, None, weight)
-    if found is None:
+        departure = ConsistencyDeparture("", p, 0, None, weight)
+    if departure is None:
         return None
     text = (
         f"the first error of {_entry(layout, row)} is {error[row]:.3g}, its sigma in P0 is "
@@ -402,11 +402,14 @@ def first_error(
     )
     orders = likelier_orders(error, prior, left, _exchanges(layout, row))
     if not orders:
-        return found._replace(what=f"{text}P0 is too small there, or its rows are in another order")
+        return departure._replace(
+            what=f"{text}P0 is too small there, or its rows are in another order"
+        )
     listed = ", or ".join(
-        f"{_exchanged(layout, one.order)} (p = {one.p_value:.2g})" for one in orders[:_MOST_ORDERS]
+        f"{_exchanged(layout, order.order)} (p = {order.p_value:.2g})"
+        for order in orders[:_MOST_ORDERS]
     )
-    return found._replace(
+    return departure._replace(
         what=f"{text}P0 is too small there, or its rows are exchanged; in this order the error is "
         f"probable: {listed}"
     )
@@ -457,37 +460,39 @@ class ConsistencyDeparture(NamedTuple):
     fault: bool = True
 
 
-def departures(one: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
+def departures(sensor: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
     """Return what departs of a sensor, the rarest first.
 
     Where all its innovations depart, they do so from the first stretch on that does.
 
     Args:
-        one: Its figures.
+        sensor: Its figures.
         level: Of all departures together, of a sound filter.
     """
-    windows = split_windows(len(one.event))
+    windows = split_windows(len(sensor.event))
     windows = windows if len(windows) > 1 else []
-    share = level / (1 + 3 * len(one.names) + len(windows))
-    stretches = _in_windows(one, windows, share)
+    share = level / (1 + 3 * len(sensor.names) + len(windows))
+    stretches = _in_windows(sensor, windows, share)
     since = stretches[0].event if stretches else None
-    found = [each._replace(event=since) for nis in one.nis[:1] for each in _mean(nis, one, share)]
-    for nis in one.nis[1:]:
-        found += _mean(nis, one, share)
-    if one.components is not None:
-        for name, column in zip(one.names, one.components.T, strict=True):
+    found = [
+        each._replace(event=since) for nis in sensor.nis[:1] for each in _mean(nis, sensor, share)
+    ]
+    for nis in sensor.nis[1:]:
+        found += _mean(nis, sensor, share)
+    if sensor.components is not None:
+        for name, column in zip(sensor.names, sensor.components.T, strict=True):
             found += _bias(column, name, share)
-    for series in one.whiteness:
+    for series in sensor.whiteness:
         found += _white(series, share)
     found += stretches
-    found += _gating(one.gating, level)
+    found += _gating(sensor.gating, level)
     return sorted(found, key=lambda each: -each.weight)
 
 
-def _mean(nis: Nis, one: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
-    whole = nis is one.nis[0]
-    dof = float(one.dof.sum()) if whole else float(nis.count)
-    p = _chance(nis.mean * nis.count, dof, one.least)
+def _mean(nis: Nis, sensor: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
+    whole = nis is sensor.nis[0]
+    dof = float(sensor.dof.sum()) if whole else float(nis.count)
+    p = _chance(nis.mean * nis.count, dof, sensor.least)
     if p >= level:
         return []
     right = dof / nis.count
@@ -522,26 +527,26 @@ def _white(series: Whiteness, level: float) -> list[ConsistencyDeparture]:
 
 
 def _in_windows(
-    one: SensorInnovations, windows: list[Index], level: float
+    sensor: SensorInnovations, windows: list[Index], level: float
 ) -> list[ConsistencyDeparture]:
     """The first stretch that leaves its band, with the event at which it begins to."""
     out = []
     for part in windows:
-        p = _chance(float(one.squared[part].sum()), float(one.dof[part].sum()), one.least)
+        p = _chance(float(sensor.squared[part].sum()), float(sensor.dof[part].sum()), sensor.least)
         if p < level:
             out.append((part, p))
     if not out:
         return []
     (part, p), last = out[0], out[-1][0]
-    mean, right = float(one.squared[part].mean()), float(one.dof[part].mean())
+    mean, right = float(sensor.squared[part].mean()), float(sensor.dof[part].mean())
     first = max(0, int(part[0]) - len(part))  # it may have begun in the window before
-    start = first + onset(one.squared[first : part[-1] + 1], mean, right)
+    start = first + onset(sensor.squared[first : part[-1] + 1], mean, right)
     text = (
-        f"NIS is {_word(mean, right)} from {one.time_s[start]:.6g} to {one.time_s[last[-1]]:.6g}: "
-        f"{mean:.3g}, expected {right:.3g}"
+        f"NIS is {_word(mean, right)} from {sensor.time_s[start]:.6g} to "
+        f"{sensor.time_s[last[-1]]:.6g}: {mean:.3g}, expected {right:.3g}"
     )
-    until, weight = int(one.event[last[-1]]), rarity(mean / right, float(one.dof[part].sum()))
-    return [ConsistencyDeparture(text, p, int(one.event[start]), until, weight)]
+    until, weight = int(sensor.event[last[-1]]), rarity(mean / right, float(sensor.dof[part].sum()))
+    return [ConsistencyDeparture(text, p, int(sensor.event[start]), until, weight)]
 
 
 def _gating(gating: Gating, level: float) -> list[ConsistencyDeparture]:
@@ -552,7 +557,7 @@ def _gating(gating: Gating, level: float) -> list[ConsistencyDeparture]:
         what = f"{rate.what}: {series.what.removeprefix('rejects ')}"
         weight = max(rate.weight, series.weight)
         return [rate._replace(what=what, event=series.event, until=series.until, weight=weight)]
-    return [one for one in (rate, series) if one is not None]
+    return [departure for departure in (rate, series) if departure is not None]
 
 
 def _rate(gating: Gating, nominal: float, level: float) -> ConsistencyDeparture | None:

@@ -92,9 +92,9 @@ def explained_innovations(
         every = steps if len(steps) < most else steps_of(events)
         after = step_innovations(_taken_in(causes, every), sensors)
         left = [
-            f"sensor `{one.sensor}`: {each.what}"
-            for one in after
-            for each in departures(one, level)
+            f"sensor `{sensor.sensor}`: {each.what}"
+            for sensor in after
+            for each in departures(sensor, level)
             if each.fault
         ]
         still_off = bool(left)
@@ -134,26 +134,26 @@ def _are_apart(causes: Iterable[InnovationCause]) -> bool:
 
     A Jacobian that comes near what is wrong leaves the rest to other causes: none of them is so.
     """
-    fitted = [one.fitted for one in causes]
-    changes = [one for one in fitted if isinstance(one, JacobianChange)]
-    whole = {one.slot._replace(change="") for one in changes}
+    fitted = [cause.fitted for cause in causes]
+    changes = [change for change in fitted if isinstance(change, JacobianChange)]
+    whole = {change.slot._replace(change="") for change in changes}
     is_of_one = len(whole) == 1 and len(changes) == len(fitted) and all(c.numbers for c in changes)
     return len(fitted) > 1 and bool(changes) and not is_of_one
 
 
 def _factors(causes: Iterable[InnovationCause]) -> Factors:
     """Of those causes that are of noises."""
-    fitted = [one.fitted for one in causes]
-    return {one.slot: one.factor for one in fitted if isinstance(one, NoiseFactor)}
+    fitted = [cause.fitted for cause in causes]
+    return {factor.slot: factor.factor for factor in fitted if isinstance(factor, NoiseFactor)}
 
 
 def _without_noises(
     causes: Iterable[InnovationCause], steps: Iterable[RecordedStep]
 ) -> Iterator[RecordedStep]:
     """Events with other Jacobians, and without constants."""
-    fitted = [one.fitted for one in causes]
-    offsets = [one for one in fitted if isinstance(one, Offset)]
-    jacobians = [one for one in fitted if isinstance(one, JacobianChange)]
+    fitted = [cause.fitted for cause in causes]
+    offsets = [offset for offset in fitted if isinstance(offset, Offset)]
+    jacobians = [change for change in fitted if isinstance(change, JacobianChange)]
     return without_offsets(with_jacobians(steps, jacobians), offsets)
 
 
@@ -175,7 +175,7 @@ def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -
     text += f"{since} ({interval and f'{interval}, '}p = {cause.p_value:.1g})"
     if isinstance(fitted, NoiseFactor) and (written := readings(fitted, steps)):
         text += f", {' or '.join(written)}"
-    others = [_with_number(one, steps, sensors)[0] for one in cause.others]
+    others = [_with_number(change, steps, sensors)[0] for change in cause.others]
     if len(others) > _MOST_SAID:
         others[_MOST_SAID - 1 :] = [f"one of {len(others) - _MOST_SAID + 1} others"]
     return text + "".join(f", or {other}" for other in others)

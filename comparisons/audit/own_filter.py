@@ -88,12 +88,12 @@ def sound_recursion(run: EkfRun) -> tuple[Array, Array] | None:
         fused, last = short.apply(event), event
         if isinstance(event, Update) and fused is not None:
             event = event._replace(correction=fused.applied)
-        for one in others:
-            one.apply(event)
+        for replay in others:
+            replay.apply(event)
     if not isinstance(last, Snapshot) or len(last.covariance) < len(run.estimate.joint_mean):
         return None
     at = short.layout.columns(last.blocks)
-    return short.covariance[at][:, at], np.array([one.mean[at] for one in others])
+    return short.covariance[at][:, at], np.array([replay.mean[at] for replay in others])
 
 
 def residuals_at_points(run: EkfRun) -> Array:
@@ -158,13 +158,13 @@ def distances_of(run: EkfRun, log: Log) -> tuple[Array, Array]:
 
 def _distance(log: Log, row: int, mean: Array, replay: Replay, block: str) -> float:
     """Return the normalised innovation squared of a measurement of a point."""
-    seen, at = log.measurements, replay.layout.columns((VEHICLE, block))
+    measurements, at = log.measurements, replay.layout.columns((VEHICLE, block))
     x, p = mean[at], replay.covariance[at][:, at]
     z, by_pose, by_point = RangeBearing().predict(x[:_PLANAR], x[None, _PLANAR:])
     h = np.hstack((by_pose[0], by_point[0]))
-    off = np.array([seen.range_m[row], seen.bearing_rad[row]]) - z[0]
+    off = np.array([measurements.range_m[row], measurements.bearing_rad[row]]) - z[0]
     off[1] = wrap_angle(off[1])
-    r = np.diag((seen.sigma_range_m[row], seen.sigma_bearing_rad[row])) ** 2
+    r = np.diag((measurements.sigma_range_m[row], measurements.sigma_bearing_rad[row])) ** 2
     return float(off @ np.linalg.solve(h @ p @ h.T + r, off))
 
 
@@ -428,16 +428,16 @@ class _Events:
         """Yield what is measured and initialised at one step, in this order where it can be."""
         if not initialised and not fused:
             return
-        new, seen = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
+        new, records = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
         first, again = set(new.landmark_index[initialised].tolist()), []
         for begin, end in fused:
-            if first.isdisjoint(seen.landmark_index[begin:end].tolist()):
-                yield self.update(kind, seen, begin, end)
+            if first.isdisjoint(records.landmark_index[begin:end].tolist()):
+                yield self.update(kind, records, begin, end)
             else:
                 again.append((begin, end))
         yield from self.initialise(kind, new, initialised)
         for begin, end in again:
-            yield self.update(kind, seen, begin, end)
+            yield self.update(kind, records, begin, end)
 
     def _snapshot(self) -> Snapshot:
         run, e = self._run, self._run.estimate

@@ -67,7 +67,7 @@ class BlockLayout:
         found = self._columns.get(blocks)
         if found is None:
             entries = [range(self.start[b], self.start[b] + self.dims[b]) for b in blocks]
-            index = np.concatenate([np.asarray(one, dtype=np.intp) for one in entries])
+            index = np.concatenate([np.asarray(entry, dtype=np.intp) for entry in entries])
             found = index
             if (np.diff(index) == 1).all():
                 found = slice(int(index[0]), int(index[-1]) + 1)
@@ -341,14 +341,14 @@ def check_gain(
         layout: Of the state.
         tolerance: Relative to what a measurement of one sigma corrects.
     """
-    found = []
+    mismatches = []
     unit = np.where(sigma > 0.0, sigma, 1.0)
     if event.gain is not None:
-        found += _gain(event, fused, unit, layout, tolerance)
+        mismatches += _gain(event, fused, unit, layout, tolerance)
     if event.correction is not None:
         gain = fused.gain if event.gain is None else event.gain
-        found += _correction(event, gain @ event.residual, unit, layout, tolerance)
-    return found
+        mismatches += _correction(event, gain @ event.residual, unit, layout, tolerance)
+    return mismatches
 
 
 def _gain(

@@ -149,7 +149,7 @@ class Learnt(NamedTuple):
         return float(time_s[row]), float(time_s[row + 1]), float(gained[row])
 
     def _place(self, name: str) -> int:
-        return [one.name for one in self.directions].index(name)
+        return [direction.name for direction in self.directions].index(name)
 
 
 class SpuriousInformation:
@@ -408,17 +408,17 @@ def _telling(event: Update, told: Array, layout: BlockLayout) -> Blocks:
 def learnt(events: Iterable[Event]) -> Learnt | None:
     """Return what a whole trace has learnt; None where it records no directions."""
     replay: Replay | None = None
-    found: SpuriousInformation | None = None
+    information: SpuriousInformation | None = None
     for event in events:
         if isinstance(event, TracePrior):
             replay = Replay(event)
         elif isinstance(event, Directions) and replay is not None:
-            found = SpuriousInformation(event, replay)
-        elif found is not None:
-            found.take(event)
+            information = SpuriousInformation(event, replay)
+        elif information is not None:
+            information.take(event)
         elif replay is not None:
             replay.apply(event)
-    return None if found is None else found.result()
+    return None if information is None else information.result()
 
 
 def unit_of(name: str) -> str:

@@ -133,9 +133,9 @@ class MeasurementUse:
         corrected = fused.applied
         waiting = [*self._instant[1 - _MOST_WAITING :], _Waiting(event, event.residual)]
         self._instant = [
-            _Waiting(one, left - one.jacobian @ corrected[layout.columns(one.blocks)])
-            for one, left in waiting
-            if np.abs(one.residual).max() > _SMALL * _size(one)
+            _Waiting(update, left - update.jacobian @ corrected[layout.columns(update.blocks)])
+            for update, left in waiting
+            if np.abs(update.residual).max() > _SMALL * _size(update)
         ]
 
 

@@ -121,8 +121,8 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
         """Return the rows of each, after those on what they are measured against."""
         return [*self.held_out] + [
             row
-            for name, one in self.value.items()
-            for row in accuracy_rows(_WORDS.get(name, f"the {name}"), one)
+            for name, accuracy in self.value.items()
+            for row in accuracy_rows(_WORDS.get(name, f"the {name}"), accuracy)
         ]
 
 
@@ -138,7 +138,8 @@ class CheckAccuracy(Check):
         """Return the errors of each estimate, and of odometry alone beside our own."""
         judged, labelled = known.prepared.judged, known.prepared.labelled
         each = {
-            name: assess(one, judged, labelled=labelled) for name, one in known.estimates.items()
+            name: assess(estimate, judged, labelled=labelled)
+            for name, estimate in known.estimates.items()
         }
         if None in each.values():
             return Absent("the log has neither truth nor positions that no estimator has used")
@@ -154,7 +155,7 @@ class CheckAccuracy(Check):
         beside = {name: assess_trajectory(epochs_s, pose, judged) for name, pose in ways.items()}
         entries: dict[str, object] = {
             "accuracy": optimum,
-            **{_KEYS[name]: one for name, one in beside.items()},
+            **{_KEYS[name]: accuracy for name, accuracy in beside.items()},
         }
         if known.run is not None:
             compared = (each["EKF"], optimum, beside["odometry"])
@@ -187,9 +188,9 @@ def accuracy_lines(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]
     return []
 
 
-def accuracy_rows(of: str, found: Accuracy | None) -> list[Row]:
+def accuracy_rows(of: str, accuracy: Accuracy | None) -> list[Row]:
     """Return the rows of errors, where there are any. of: whose, as `the EKF`."""
-    return [] if found is None else rows_of(f"Accuracy of {of}", found)
+    return [] if accuracy is None else rows_of(f"Accuracy of {of}", accuracy)
 
 
 def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:

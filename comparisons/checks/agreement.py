@@ -396,9 +396,13 @@ class GapFigures(LinearisationFigures, ModelFigures, AlgebraFigures):
 def gap_figures(algebra: Gap | None, model: Gap, linearisation: Gap) -> dict[str, Any]:
     """Return the fields of GapFigures but for the limits. algebra: None where it is unknown."""
     found: dict[str, Any] = {}
-    for name, one in (("algebra", algebra), ("model", model), ("linearisation", linearisation)):
-        found[f"{name}_gap_sigma"] = None if one is None else one.sigma
-        found[f"{name}_gap_covariance"] = None if one is None else one.covariance
+    for name, difference in (
+        ("algebra", algebra),
+        ("model", model),
+        ("linearisation", linearisation),
+    ):
+        found[f"{name}_gap_sigma"] = None if difference is None else difference.sigma
+        found[f"{name}_gap_covariance"] = None if difference is None else difference.covariance
     return found
 
 
@@ -435,10 +439,10 @@ class Agreement(GapFigures):
     def agrees(self) -> bool:
         """Pose, every landmark and the map as a whole agree."""
         blocks = (self.pose, *self.landmarks, *self.pose_landmarks, self.map)
-        return all(one.agrees for one in blocks)
+        return all(block.agrees for block in blocks)
 
 
-def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
+def compare(ekf: Gaussian, recorded: Gaussian, modelled: Gaussian, smoother: Gaussian) -> Agreement:
     """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
     difference = _difference(ekf, smoother)
@@ -458,8 +462,8 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
     distances = [block.difference_m for block in (*landmarks, *pose_landmarks)]
     gaps = (
         gap(ekf, recorded, units(ekf.covariance, recorded.covariance)),
-        gap(recorded, own, sigma),
-        gap(own, smoother, sigma),
+        gap(recorded, modelled, sigma),
+        gap(modelled, smoother, sigma),
     )
     whole = BlockAgreement.of(*_parts(ekf, smoother, difference, slice(0, len(sigma))))
     return Agreement(

@@ -63,7 +63,7 @@ def algebra_cause(
 
     hint: what to check where no event is named.
     """
-    named = "".join(f"; {one}" for one in operations[:_NAMED])
+    named = "".join(f"; {operation}" for operation in operations[:_NAMED])
     first = operations[0].partition(": ")[0] if operations else ""
     return Cause(
         "algebra",

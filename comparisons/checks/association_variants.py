@@ -112,39 +112,41 @@ class AssociationCheck:
     @property
     def against(self) -> tuple[AssociationVariant, ...]:
         """The variants that speak against the association."""
-        return tuple(one for one in self.variants if one.against)
+        return tuple(variant for variant in self.variants if variant.against)
 
     @property
     def remarks(self) -> list[str]:
         """What is in dispute, by each variant against."""
-        return [self._remark(one) for one in self.against]
+        return [self._remark(variant) for variant in self.against]
 
     def rows(self) -> list[Row]:
         """Return how the association compares with others of the same measurements."""
         group = "Association compared with other ways to associate"
         found = []
-        for one in self.variants:
-            alike, far = f"{100.0 * one.agreement:.1f} %", in_sigma(one.apart_sigma)
-            against = "yes" if one.against else "no"
-            contradicts = f"{one.name}: contradicts the association"
+        for variant in self.variants:
+            alike, far = f"{100.0 * variant.agreement:.1f} %", in_sigma(variant.apart_sigma)
+            against = "yes" if variant.against else "no"
+            contradicts = f"{variant.name}: contradicts the association"
             found += [
-                Row(group, f"{one.name}: pairs of measurements alike", alike),
-                Row(group, f"{one.name}: difference of the poses (rms)", far),
-                Row(group, contradicts, against, "no", not one.against),
+                Row(group, f"{variant.name}: pairs of measurements alike", alike),
+                Row(group, f"{variant.name}: difference of the poses (rms)", far),
+                Row(group, contradicts, against, "no", not variant.against),
             ]
         return found
 
-    def _remark(self, one: AssociationVariant) -> str:
-        found = [d for d in self.disputes if d.variant == one.name]
+    def _remark(self, variant: AssociationVariant) -> str:
+        disputes = [d for d in self.disputes if d.variant == variant.name]
         named = "; ".join(
             f"{d.measurements} of {'no landmark' if d.landmark < 0 else f'landmark {d.landmark}'} "
             f"({d.begin_s:.1f} to {d.end_s:.1f} s)"
-            for d in found[:_NAMED]
+            for d in disputes[:_NAMED]
         )
-        more = f"; others of {len(found) - _NAMED} more landmarks" if len(found) > _NAMED else ""
+        more = (
+            f"; others of {len(disputes) - _NAMED} more landmarks" if len(disputes) > _NAMED else ""
+        )
         return (
-            f"the association is ambiguous: associating with {one.name} moves the poses by "
-            f"{one.apart_m:.2f} m ({one.apart_sigma:.1f} sigma); disputed measurements: "
+            f"the association is ambiguous: associating with {variant.name} moves the poses by "
+            f"{variant.apart_m:.2f} m ({variant.apart_sigma:.1f} sigma); disputed measurements: "
             f"{named}{more}"
         )
 
@@ -163,7 +165,7 @@ def check_association(
     poses, covariance, chi2, dof = optimum
     scale = max(1.0, chi2 / dof) if dof > 0 else 1.0
     own = _cost(landmark_index, chi2, scale)
-    found, disputed = list[AssociationVariant](), list[LandmarkIndices]()
+    association_variants, disputed = list[AssociationVariant](), list[LandmarkIndices]()
     for other in others:
         sigma, metres = poses_apart(other.poses, poses, covariance)
         sigma = sigma if math.isfinite(other.chi2) else math.inf
@@ -172,7 +174,7 @@ def check_association(
         matched[second] = first
         pairs = compare_partitions(landmark_index, other.landmark_index)
         disputed.append(differing_measurements(landmark_index, other.landmark_index, matched))
-        found.append(
+        association_variants.append(
             AssociationVariant(
                 name=other.name,
                 agreement=pairs.agreement,
@@ -186,19 +188,20 @@ def check_association(
                 elsewhere=not sigma < APART,
             )
         )
-    several = sum(one.elsewhere for one in found) >= SEVERAL
+    several = sum(variant.elsewhere for variant in association_variants) >= SEVERAL
     variants = tuple(
-        replace(one, against=one.elsewhere and (several or one.excess <= 0.0)) for one in found
+        replace(variant, against=variant.elsewhere and (several or variant.excess <= 0.0))
+        for variant in association_variants
     )
     disputes = [
-        Dispute(one.name, max(landmark, -1), len(at), float(at.min()), float(at.max()))
-        for one, rows in zip(variants, disputed, strict=True)
-        if one.against
+        Dispute(variant.name, max(landmark, -1), len(at), float(at.min()), float(at.max()))
+        for variant, rows in zip(variants, disputed, strict=True)
+        if variant.against
         for landmark in np.unique(landmark_index[rows]).tolist()
         for at in [time_s[rows][landmark_index[rows] == landmark]]
     ]
     return AssociationCheck(
-        verified=not any(one.against for one in variants),
+        verified=not any(variant.against for variant in variants),
         variants=variants,
         disputes=tuple(sorted(disputes, key=lambda d: -d.measurements)),
     )

@@ -235,7 +235,9 @@ EXPLANATIONS: dict[str, Explanation] = {
 }
 """By the name that each has in result.json, in the order of a verdict; a check may add its own."""
 
-FILTER_FAULTS = frozenset(kind for kind, one in EXPLANATIONS.items() if one.decides == "filter")
+FILTER_FAULTS = frozenset(
+    kind for kind, explanation in EXPLANATIONS.items() if explanation.decides == "filter"
+)
 """Kinds that show in the filter's own records, whatever the smoother found."""
 
 

@@ -29,13 +29,14 @@ class CheckCompression(Check):
     def find(self, known: Known) -> CompressionFinding:
         """Return what was saved, with a remark where that is nothing."""
         try:
-            found = known.ekf.compression
+            compression = known.ekf.compression
         except LackingError:  # of a filter that is not run here nothing is asked
-            found = None
+            compression = None
         remarks = []
-        if found is not None and not found.updates_with_passive:
+        if compression is not None and not compression.updates_with_passive:
             remarks.append(
-                f"the compressed filter is the full filter here: in none of its {found.updates:,} "
-                "updates was a landmark passive, as a local area holds most of the map"
+                "the compressed filter is the full filter here: in none of its "
+                f"{compression.updates:,} updates was a landmark passive, as a local area holds "
+                "most of the map"
             )
-        return CompressionFinding(found, (), remarks)
+        return CompressionFinding(compression, (), remarks)

@@ -31,7 +31,7 @@ class CheckData(Check):
         log, labelled, smoothed = prepared.log, prepared.labelled, known.gaps.smoothed
         found = data_faults(log, known.ekf, smoothed, labelled=labelled, timed=not untimely)
         faults = (*untimely, *found)
-        causes = [Cause("data", one.evidence, one.hint) for one in faults]
+        causes = [Cause("data", fault.evidence, fault.hint) for fault in faults]
         return DataFinding(faults, causes, known.records.left_out())
 
 

@@ -58,15 +58,15 @@ def causes_of(grade: Graded, unlike: Sequence[Cause], against: Sequence[str]) ->
     return tuple(causes)
 
 
-def beside_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Cause, ...]:
+def beside_trace(causes: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Cause, ...]:
     """Return causes with a trace's first; linearisation stands for what it explains.
 
     Before them what explains all of the poses' difference, a fault of what was written.
     """
     kept = tuple(one for one in traced if one.gap in (*FILTER_FAULTS, "linearisation"))
     explained = ("estimate", "covariance", "optimum") if kept else ()
-    first = tuple(one for one in found[:1] if one.gap in MOTIONS)
-    rest = tuple(one for one in found[len(first) :] if one.gap not in explained)
+    first = tuple(one for one in causes[:1] if one.gap in MOTIONS)
+    rest = tuple(one for one in causes[len(first) :] if one.gap not in explained)
     return first + kept + rest
 
 
@@ -119,25 +119,25 @@ def grade_remarks(
     return remarks
 
 
-def given_remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
+def given_remarks(given: ExternalEstimate, agreement: ExternalAgreement) -> list[str]:
     """Return how the verdict is narrowed by what was not handed in."""
     remarks = []
     if absent := given.absent:
         if "landmarks" in absent:
             absent = [one for one in absent if one in ("landmarks", "pose covariances")]
         compared = ["poses"] if given.pose_covariance is None else ["poses", "pose covariances"]
-        compared += ["landmarks"] if found.landmarks else []
+        compared += ["landmarks"] if agreement.landmarks else []
         remarks.append(
             f"the estimate has no {', no '.join(absent)}; compared {' and '.join(compared)} only"
         )
     if given.left_out:
         remarks.append(given.left_out)
-    if len(found.time_s) < len(given.time_s):
+    if len(agreement.time_s) < len(given.time_s):
         remarks.append(
-            f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and "
+            f"{len(given.time_s) - len(agreement.time_s)} poses lie outside the log's time and "
             "were left out"
         )
-    if found.last is None:
+    if agreement.last is None:
         remarks.append("the estimate ends before the log, so its last pose was not compared")
     if given.trace is not None:
         remarks += given.trace.remarks
@@ -147,6 +147,8 @@ def given_remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str
             )
     if given.removed is not None:
         remarks.append(f"landmarks of the log that the map lacks: {given.removed.words}")
-    if found.unmatched:
-        remarks.append(f"{found.unmatched} landmarks of the estimate are not in the smoother's map")
+    if agreement.unmatched:
+        remarks.append(
+            f"{agreement.unmatched} landmarks of the estimate are not in the smoother's map"
+        )
     return remarks

@@ -111,7 +111,7 @@ def _exchanged_rows(known: Known, solver: LogSolver, near: SolvedLog) -> str:
 def _log_fault(words: str, fits: Sequence[LogFit] = ()) -> Cause:
     """What the log looks like, with what mends it. fits: what makes it fit, if it was fitted."""
     advice = "make the log again with this changed (slamcheck new-log)"
-    if any(one.numbers and one.name is None for one in fits):
+    if any(fit.numbers and fit.name is None for fit in fits):
         advice = (
             "check the calibration, units and clock of this sensor; correct the log and run again"
         )
@@ -127,15 +127,15 @@ def other_noise(known: Known, test: ChiSquareTest) -> list[Cause]:
     if result.reweighted or result.lagged is not None:
         return []
     causes = []
-    for one in other_noises(result, variance_components(result)):
-        low, high = one.component.interval(WORDS)
+    for noise in other_noises(result, variance_components(result)):
+        low, high = noise.component.interval(WORDS)
         causes.append(
             Cause(
                 "noise",
-                f"the log fits with a noise of the {one.sensor} {one.component.factor:.2g} times "
-                f"the stated ({low:.2g} to {high:.2g} in 99.9 %): chi-square falls from "
-                f"{test.chi2:.0f} to {one.test.chi2:.0f} for {test.dof} degrees of freedom",
-                f"check the sigma of the {one.sensor}",
+                f"the log fits with a noise of the {noise.sensor} {noise.component.factor:.2g} "
+                f"times the stated ({low:.2g} to {high:.2g} in 99.9 %): chi-square falls from "
+                f"{test.chi2:.0f} to {noise.test.chi2:.0f} for {test.dof} degrees of freedom",
+                f"check the sigma of the {noise.sensor}",
             )
         )
     return causes

@@ -235,7 +235,7 @@ def compare_external(
     if smoothed.joint_s - given.time_s[-1] <= MOST_LATE_S:
         cover = None if given.pose_covariance is None else given.pose_covariance[-1]
         end = BlockAgreement.of(difference[-1], smoothed.joint_covariance[:3, :3], cover, band)
-    found = ExternalAgreement(
+    agreement = ExternalAgreement(
         time_s=given.time_s,
         rms_m=rms(difference[:, :2]),
         rms_heading_rad=rms(difference[:, 2:]),
@@ -250,11 +250,11 @@ def compare_external(
     paths = [
         _path_by_peer(given, peer, band)
         if trusted[peer.name] and peer.known.any()
-        else _path_alone(found, rms((peer.pose - smoothed.pose)[:, :2]))
+        else _path_alone(agreement, rms((peer.pose - smoothed.pose)[:, :2]))
         for peer in peers
-    ] or [_path_alone(found, 0.0)]
-    against = [*_map_faults(given, smoothed, rows, found), *min(paths, key=len)]
-    return replace(found, against=tuple(against))
+    ] or [_path_alone(agreement, 0.0)]
+    against = [*_map_faults(given, smoothed, rows, agreement), *min(paths, key=len)]
+    return replace(agreement, against=tuple(against))
 
 
 def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgreement | None:
@@ -285,12 +285,14 @@ def _map_faults(
     given: ExternalEstimate,
     smoothed: Reference,
     rows: tuple[Index, Index],
-    found: ExternalAgreement,
+    agreement: ExternalAgreement,
 ) -> list[str]:
     """What is not plausible of the last pose and the map."""
-    parts, blocks = [], found.landmarks
-    if found.unmatched and not blocks and len(smoothed.landmark):
-        parts.append(f"none of the estimate's {found.unmatched} landmarks is a landmark of the log")
+    parts, blocks = [], agreement.landmarks
+    if agreement.unmatched and not blocks and len(smoothed.landmark):
+        parts.append(
+            f"none of the estimate's {agreement.unmatched} landmarks is a landmark of the log"
+        )
     far = [k for k, block in enumerate(blocks) if not block.near]
     if far:
         worst = max(far, key=lambda k: blocks[k].distance_sigma)
@@ -300,19 +302,19 @@ def _map_faults(
             f"from the optimum, landmark {name} most, by {block.difference_m:.2f} m "
             f"({block.distance_sigma:.1f} sigma)"
         )
-    last = found.last
+    last = agreement.last
     if last is not None and not last.near:
         parts.append(
             f"the last pose is {last.difference_m:.2f} m from the optimum "
             f"({last.distance_sigma:.1f} sigma)"
         )
     each = [(b.variance_ratio_least, b.variance_ratio_largest) for b in (*blocks, last) if b]
-    unsure = [ratios for ratios in each if not found.band.holds(*ratios)]
+    unsure = [ratios for ratios in each if not agreement.band.holds(*ratios)]
     if not unsure and given.joint_covariance is not None and last is not None:
         ours, theirs = map(joint_rows, rows)
         pair = given.joint_covariance[np.ix_(ours, ours)], smoothed.joint_covariance
         whole = eigenvalue_range(pair[0], pair[1][np.ix_(theirs, theirs)])
-        unsure = [] if found.band.holds(*whole) else [whole]
+        unsure = [] if agreement.band.holds(*whole) else [whole]
     if unsure:
         worst_ratio = max(
             (ratio for ratios in unsure for ratio in ratios if ratio is not None),
@@ -320,7 +322,7 @@ def _map_faults(
         )
         parts.append(
             f"the variances of last pose and map are up to {worst_ratio:.3g} times the optimum's, "
-            f"expected {found.band.least:.2g} to {found.band.largest:.2g}"
+            f"expected {agreement.band.least:.2g} to {agreement.band.largest:.2g}"
         )
     return parts
 
@@ -349,18 +351,18 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: VarianceBand) 
     return parts
 
 
-def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
+def _path_alone(agreement: ExternalAgreement, peer_rms_m: float) -> list[str]:
     """What is not plausible of a path where no right estimate of its kind is a measure."""
     expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
-    if found.outside is not None and found.outside > _MOST_OUTSIDE:
+    if agreement.outside is not None and agreement.outside > _MOST_OUTSIDE:
         return [
-            f"{100.0 * found.outside:.0f} % of the poses lie outside their own 99.9 % region; "
-            f"their RMS difference from the optimum is {found.rms_m:.2f} m"
+            f"{100.0 * agreement.outside:.0f} % of the poses lie outside their own 99.9 % region; "
+            f"their RMS difference from the optimum is {agreement.rms_m:.2f} m"
         ]
-    if found.outside is None and found.rms_m > expected_m:
+    if agreement.outside is None and agreement.rms_m > expected_m:
         return [
-            f"the RMS difference of the poses from the optimum is {found.rms_m:.2f} m, expected at "
-            f"most {expected_m:.2f} m"
+            f"the RMS difference of the poses from the optimum is {agreement.rms_m:.2f} m, "
+            f"expected at most {expected_m:.2f} m"
         ]
     return []
 
@@ -371,7 +373,7 @@ def _landmark_blocks(
     if given.landmark is None:
         return
     every = smoothed.landmark_covariances(rows[1])
-    for i, j, own in zip(*(one.tolist() for one in rows), every, strict=True):
+    for i, j, own in zip(*(row.tolist() for row in rows), every, strict=True):
         cover = None if given.landmark_covariance is None else given.landmark_covariance[i]
         apart, name = given.landmark[i] - smoothed.landmark[j], int(smoothed.landmark_id[j])
         yield LandmarkAgreement.of(apart, own, cover, band, len(rows[0]), id=name)

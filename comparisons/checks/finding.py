@@ -103,18 +103,20 @@ class Findings:
     @property
     def causes(self) -> list[Cause]:
         """The causes of the findings."""
-        return [cause for one in self.findings.values() for cause in one.causes]
+        return [cause for finding in self.findings.values() for cause in finding.causes]
 
     @property
     def remarks(self) -> list[str]:
         """What the findings remark, those of the filter itself first."""
-        found = sorted(self.findings.values(), key=lambda one: not isinstance(one, OfFilter))
-        return [remark for one in found for remark in one.remarks]
+        findings = sorted(
+            self.findings.values(), key=lambda finding: not isinstance(finding, OfFilter)
+        )
+        return [remark for finding in findings for remark in finding.remarks]
 
     @property
     def rows(self) -> list[Row]:
         """Return the rows of all findings, and which other checks have none, by the reason."""
-        found = [row for one in self.findings.values() for row in one.rows()]
+        found = [row for finding in self.findings.values() for row in finding.rows()]
         missing: dict[str, list[str]] = {}
         for key, why in self.absent.items():
             missing.setdefault(why, []).append(key.replace("_", " "))
@@ -123,14 +125,18 @@ class Findings:
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Return the lines of a summary that findings have, a name and words each."""
-        return [line for one in self.findings.values() for line in one.lines]
+        return [line for finding in self.findings.values() for line in finding.lines]
 
     @property
     def entries(self) -> dict[str, Any]:
         """Return the entries of a result file."""
-        return {key: entry for one in self.findings.values() for key, entry in one.entries.items()}
+        return {
+            key: entry
+            for finding in self.findings.values()
+            for key, entry in finding.entries.items()
+        }
 
     def value(self, kind: type[Of[V]]) -> V | None:
         """Return the value of a finding of a kind, None where no check has it."""
         found = self.findings.values()
-        return next((one.value for one in found if isinstance(one, kind)), None)
+        return next((finding.value for finding in found if isinstance(finding, kind)), None)

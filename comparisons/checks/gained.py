@@ -69,11 +69,11 @@ class CheckGain(Check):
         if not np.isfinite(variance).all() or not (variance[1:] > 0.0).any():
             return Absent("the odometry does not lead from the first pose to the last")
         each = {
-            name: Gain(_left(one, variance), rms((one.pose - path)[:, :2]))
-            for name, one in known.estimates.items()
-            if _is_at(one, known.smoothed)
+            name: Gain(_left(estimate, variance), rms((estimate.pose - path)[:, :2]))
+            for name, estimate in known.estimates.items()
+            if _is_at(estimate, known.smoothed)
         }
-        nothing = [name for name, one in each.items() if one.is_nothing]
+        nothing = [name for name, gain in each.items() if gain.is_nothing]
         remarks = []
         if nothing:
             figures = ", ".join(f"{100.0 * each[name].sigma_left:.3g} %" for name in nothing)

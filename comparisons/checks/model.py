@@ -54,8 +54,10 @@ def model_cause(
 
     Of each kind of relation the largest difference is named, of its Jacobians and of the rest.
     """
-    largest = {one.group: one for one in reversed(differences)}
-    named = "; ".join(str(one) for one in differences if largest[one.group] is one)
+    largest = {difference.group: difference for difference in reversed(differences)}
+    named = "; ".join(
+        str(difference) for difference in differences if largest[difference.group] is difference
+    )
     hint = HINT
     if differences and differences[0].absent:
         hint = (

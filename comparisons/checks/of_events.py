@@ -36,13 +36,13 @@ class KnownEvents(Findings, Brief):
 
 def audit_trace(path: str | Path, tolerance: float, progress: Progress | None = None) -> Audit:
     """Audit a trace, and say what it lacks for a check; see `comparisons.audit.audit.audit`."""
-    found = go_through(path, tolerance, progress)
-    return replace(found, not_checked=ask_events(found).absent)
+    audit = go_through(path, tolerance, progress)
+    return replace(audit, not_checked=ask_events(audit).absent)
 
 
-def ask_events(found: Audit) -> KnownEvents:
+def ask_events(audit: Audit) -> KnownEvents:
     """Return what all checks find in an audit."""
-    known = KnownEvents(found)
+    known = KnownEvents(audit)
     for check in EVENT_CHECKS:
         check.ask(known)
     return known
@@ -57,7 +57,7 @@ class EventFinding(Finding):
     def __init__(self, audit: Audit, rows: Sequence[Row], *lines: tuple[str, str]) -> None:
         """audit: what they are of."""
         faulty = audit.verdict == "faulty"
-        self._rows = [one if faulty else one._replace(inside=one.inside or None) for one in rows]
+        self._rows = [row if faulty else row._replace(inside=row.inside or None) for row in rows]
         self.lines = lines
 
     def rows(self) -> Sequence[Row]:
@@ -147,8 +147,8 @@ class CheckInnovations(EventCheck):
         audit = known.audit
         if not audit.sensors:
             return Absent("no update is recorded")
-        rows = [row for one in audit.sensors for row in _sensor_rows(one)]
-        lines = (("sensor", _sensor_line(one)) for one in audit.sensors[:_MOST_LINES])
+        rows = [row for sensor in audit.sensors for row in _sensor_rows(sensor)]
+        lines = (("sensor", _sensor_line(sensor)) for sensor in audit.sensors[:_MOST_LINES])
         return EventFinding(audit, rows, *lines)
 
 
@@ -181,8 +181,8 @@ class CheckErrors(EventCheck):
         """Return the averages of the state and of its blocks."""
         audit = known.audit
         rows = [
-            _averaged_row(f"NEES per dof of block {block} (1)", one)
-            for block, one in audit.nees_by_block.items()
+            _averaged_row(f"NEES per dof of block {block} (1)", average)
+            for block, average in audit.nees_by_block.items()
         ]
         if audit.nees is None:
             return EventFinding(audit, rows) if rows else Absent("no error is recorded")
@@ -204,60 +204,70 @@ class CheckDirections(EventCheck):
         if audit.spurious is None:
             return Absent("no directions are recorded")
         sigma = {
-            one.name: f"{one.sigma:.3g} {one.unit}".rstrip()
-            for one in audit.spurious
-            if one.largest is not None
+            direction.name: f"{direction.sigma:.3g} {direction.unit}".rstrip()
+            for direction in audit.spurious
+            if direction.largest is not None
         }
         rows = [
-            Row("Spurious information", f"{one.name}, claimed to", sigma.get(one.name, "none"))
-            for one in audit.spurious
+            Row(
+                "Spurious information",
+                f"{direction.name}, claimed to",
+                sigma.get(direction.name, "none"),
+            )
+            for direction in audit.spurious
         ]
-        said = f"no information on {', '.join(one.name for one in audit.spurious)}"
+        said = f"no information on {', '.join(direction.name for direction in audit.spurious)}"
         if sigma:
             learnt = ", ".join(f"{name} to {word}" for name, word in sigma.items())
             said = f"claimed, though no measurement observes it: {learnt}"
         return EventFinding(audit, rows, ("spurious", said))
 
 
-def _averaged_row(name: str, found: Averaged) -> Row:
+def _averaged_row(name: str, average: Averaged) -> Row:
     return Row(
-        "Consistency", name, f"{found.mean:.3g}", _limits(found), found.band.holds(found.mean)
+        "Consistency",
+        name,
+        f"{average.mean:.3g}",
+        _limits(average),
+        average.band.holds(average.mean),
     )
 
 
-def _averaged_words(found: Averaged) -> str:
-    return f"{found.mean:.3g} per degree of freedom ({_limits(found)} expected)"
+def _averaged_words(average: Averaged) -> str:
+    return f"{average.mean:.3g} per degree of freedom ({_limits(average)} expected)"
 
 
-def _limits(found: Averaged) -> str:
-    low, high = found.band
+def _limits(average: Averaged) -> str:
+    low, high = average.band
     return f"{low:.3g} to {high:.3g}"
 
 
-def _sensor_line(one: SensorInnovations) -> str:
-    if not one.nis:
-        return f"{one.sensor}: no innovation"
-    nis = one.nis[0]
-    text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
-    if one.rejected or one.gating.passes is not None:
-        text += f", {one.rejected:,} of {one.measured:,} rejected"
+def _sensor_line(sensor: SensorInnovations) -> str:
+    if not sensor.nis:
+        return f"{sensor.sensor}: no innovation"
+    nis = sensor.nis[0]
+    text = (
+        f"{sensor.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
+    )
+    if sensor.rejected or sensor.gating.passes is not None:
+        text += f", {sensor.rejected:,} of {sensor.measured:,} rejected"
     return text
 
 
-def _sensor_rows(one: SensorInnovations) -> list[Row]:
-    group, gating = f"Sensor {one.sensor}", one.gating
-    rows = one.nis_rows(group)
+def _sensor_rows(sensor: SensorInnovations) -> list[Row]:
+    group, gating = f"Sensor {sensor.sensor}", sensor.gating
+    rows = sensor.nis_rows(group)
     rows += [
         Row(group, f"{w.component}: p of whiteness by {w.order}", f"{w.p_value:.2g}",
             "at least 0.001", w.p_value >= 0.001)
-        for w in one.whiteness
+        for w in sensor.whiteness
     ]  # fmt: skip
-    rejected, limits, inside = f"{one.rejected:,} of {one.measured:,}", "", None
+    rejected, limits, inside = f"{sensor.rejected:,} of {sensor.measured:,}", "", None
     if gating.band is not None:
         low, high = gating.band
         limits, inside = (
             f"{100.0 * low:.2g} to {100.0 * high:.2g} %",
-            low <= one.rejected / one.measured <= high,
+            low <= sensor.rejected / sensor.measured <= high,
         )
     return [*rows, Row(group, "rejected by the gate", rejected, limits, inside)]
 

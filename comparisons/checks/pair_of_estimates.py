@@ -141,11 +141,11 @@ def _landmarks(
 ) -> tuple[tuple[str, ...], tuple[list[int], list[int]]]:
     """Names that both have, and their rows; by label where there are labels, else by id."""
     places = []
-    for one in (first, second):
-        ids = [] if one.landmark_id is None else np.asarray(one.landmark_id).tolist()
-        places.append({one.labels.get(i, str(i)): row for row, i in enumerate(ids)})
+    for estimate in (first, second):
+        ids = [] if estimate.landmark_id is None else np.asarray(estimate.landmark_id).tolist()
+        places.append({estimate.labels.get(i, str(i)): row for row, i in enumerate(ids)})
     names = tuple(name for name in places[0] if name in places[1])
-    return names, ([places[0][one] for one in names], [places[1][one] for one in names])
+    return names, ([places[0][name] for name in names], [places[1][name] for name in names])
 
 
 def _rows(covariance: Array | None, rows: Index | list[int]) -> Array | None:

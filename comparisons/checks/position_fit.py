@@ -41,17 +41,17 @@ class PositionObservations(NamedTuple):
     antenna_m: tuple[float, float]
 
 
-def position_fit(seen: PositionObservations, path: Poses) -> str:
+def position_fit(observations: PositionObservations, path: Poses) -> str:
     """Return the corrections that make positions fit a path, in words, with their figures.
 
     By weighted least squares, each alone. One explains them that leaves a chi-square in its band;
     those that are about as likely as the best are named, the one with the fewest numbers first.
     Empty where none explains them. path: by odometry and landmarks.
     """
-    if len(seen.time_s) < _FEWEST:
+    if len(observations.time_s) < _FEWEST:
         return ""
-    log = _alone(seen, path)
-    count = 2 * len(seen.time_s)
+    log = _alone(observations, path)
+    count = 2 * len(observations.time_s)
     fits: list[tuple[int, float, LogCorrection, str]] = []
     for correction in corrections(log):
         if "position" not in correction.slot:
@@ -60,7 +60,7 @@ def position_fit(seen: PositionObservations, path: Poses) -> str:
         if mean_band(1, count - len(numbers), _OUTSIDE).holds(chi2):
             fits.append((len(numbers), chi2, correction, _said(correction, numbers)))
     least = min((chi2 for _, chi2, *_ in fits), default=0.0)
-    likely = [one for one in fits if one[1] <= least + _AS_LIKELY]
+    likely = [fit for fit in fits if fit[1] <= least + _AS_LIKELY]
     keys = {(one.slot, one.change) for *_, one, _ in likely}
     words = [
         said
@@ -70,11 +70,13 @@ def position_fit(seen: PositionObservations, path: Poses) -> str:
     return ", or ".join(dict.fromkeys(words))
 
 
-def _alone(seen: PositionObservations, path: Poses) -> Log:
+def _alone(observations: PositionObservations, path: Poses) -> Log:
     """A log of the positions, within whose time they may be moved."""
     ends_s = path.time_s[[0, -1]] + (-_BESIDE_S, _BESIDE_S)
     still = np.zeros(2)
-    positions = Positions(seen.time_s, seen.position, seen.covariance, seen.antenna_m)
+    positions = Positions(
+        observations.time_s, observations.position, observations.covariance, observations.antenna_m
+    )
     return Log(
         name="positions",
         format="",
@@ -89,7 +91,7 @@ def _fitted(correction: LogCorrection, log: Log, path: Poses) -> tuple[tuple[flo
     """The numbers of a correction that leave least, and the chi-square that they leave."""
     starts = [correction.neutral]
     starts += [(one,) for one in correction.grid]
-    starts += [(one.number,) for one in correction.names]
+    starts += [(name.number,) for name in correction.names]
     every = [(_chi2(correction, log, path, start), start) for start in starts]
     chi2, start = min(every)
     if not start:
@@ -108,15 +110,15 @@ def _residuals(
     """Whitened residuals (2N,) of corrected positions."""
     count = 0 if log.positions is None else 2 * len(log.positions.time_s)
     try:
-        seen = correction.correct(log, *numbers).positions
+        positions = correction.correct(log, *numbers).positions
     except InputError:
-        seen = None
-    if seen is None or 2 * len(seen.time_s) != count:
+        positions = None
+    if positions is None or 2 * len(positions.time_s) != count:
         return np.full(count, _UNFIT)
-    poses = path.at(seen.time_s)
-    expected = poses[:, :2] + turned(np.array(seen.antenna_m), poses[:, 2])
-    whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))
-    residuals: Array = np.einsum("nij,nj->ni", whiten, seen.position_m - expected).ravel()
+    poses = path.at(positions.time_s)
+    expected = poses[:, :2] + turned(np.array(positions.antenna_m), poses[:, 2])
+    whiten = np.linalg.inv(np.linalg.cholesky(positions.covariance))
+    residuals: Array = np.einsum("nij,nj->ni", whiten, positions.position_m - expected).ravel()
     return residuals
 
 

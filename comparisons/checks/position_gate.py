@@ -144,15 +144,15 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
         (given.position_m[number], given.covariance[number]),
     )
     unfit = squared_distance(residual, spread) > PositionFixes().gate
-    found = RejectedFixes(count, number, streaks(number), unfit)
-    if not found.contradict:
-        return found
+    fixes = RejectedFixes(count, number, streaks(number), unfit)
+    if not fixes.contradict:
+        return fixes
     from comparisons.checks.position_fit import PositionObservations, position_fit
 
-    seen = PositionObservations(
+    observations = PositionObservations(
         smoothed.time_s[at], given.position_m[number], spread, given.antenna_m
     )
-    return replace(found, fit=position_fit(seen, Poses(smoothed.time_s, smoothed.pose)))
+    return replace(fixes, fit=position_fit(observations, Poses(smoothed.time_s, smoothed.pose)))
 
 
 def residuals(

@@ -217,13 +217,15 @@ def truth_gap(
     )
 
 
-def measurement_scale(seen: LandmarkMeasurements, places: Array) -> float:
+def measurement_scale(measurements: LandmarkMeasurements, places: Array) -> float:
     """Median standard deviation [m] of the place that one measurement gives.
 
     places: (N, 2, 2) covariances of measured pose landmarks, which count without measurements.
     """
-    if len(seen.time_s):
-        spread = np.hypot(seen.sigma_range_m, seen.range_m * seen.sigma_bearing_rad)
+    if len(measurements.time_s):
+        spread = np.hypot(
+            measurements.sigma_range_m, measurements.range_m * measurements.sigma_bearing_rad
+        )
         return float(np.median(spread))
     return float(np.median(np.sqrt(np.trace(places, axis1=1, axis2=2)))) if len(places) else 0.0
 
@@ -234,7 +236,7 @@ def against_optimum(gap: TruthGap | None, unused: UnusedPositions | None) -> dic
         TRUTH_GAP: None if gap is None else gap.cause,
         CONTRADICTED: None if unused is None else unused.cause,
     }
-    return {name: one for name, one in causes.items() if one is not None}
+    return {name: cause for name, cause in causes.items() if cause is not None}
 
 
 def qualified(

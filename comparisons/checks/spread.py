@@ -25,7 +25,9 @@ def within_spread(near: Likeness, sound: Sequence[Reference], *, labelled: bool)
     if near.missing or near.unmapped:
         return False
     others = [
-        _beside(one, near, labelled=labelled) for one in sound if one.name != near.reference.name
+        _beside(reference, near, labelled=labelled)
+        for reference in sound
+        if reference.name != near.reference.name
     ]
     if not others:
         return False

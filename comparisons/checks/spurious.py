@@ -61,10 +61,10 @@ class SpuriousHeadingResult(Model):
 class SpuriousFinding(Of[Learnt]):
     """What was learnt of directions that no sensor can tell."""
 
-    def __init__(self, found: Learnt) -> None:
+    def __init__(self, information: Learnt) -> None:
         """found: of all directions."""
-        self.result = spurious_heading_result(found)
-        super().__init__(found, entries={"spurious_heading": self.result})
+        self.result = spurious_heading_result(information)
+        super().__init__(information, entries={"spurious_heading": self.result})
 
     def rows(self) -> Sequence[Row]:
         """Return what was learnt of the heading."""
@@ -81,10 +81,10 @@ class CheckSpurious(Check):
 
     def find(self, known: Known) -> SpuriousFinding | Absent:
         """Return what it learnt, with or without positions and prior."""
-        found = learnt(run_events(known.ekf))
-        if found is None:
+        information = learnt(run_events(known.ekf))
+        if information is None:
             return Absent("landmarks are surveyed, so that measurements observe the heading")
-        return SpuriousFinding(found)
+        return SpuriousFinding(information)
 
 
 def spurious_heading_result(found: Learnt) -> SpuriousHeadingResult:
@@ -107,18 +107,18 @@ def spurious_heading_result(found: Learnt) -> SpuriousHeadingResult:
     )
 
 
-def spurious_rows(found: SpuriousHeadingResult) -> list[Row]:
+def spurious_rows(result: SpuriousHeadingResult) -> list[Row]:
     """Return what the filter learnt of its heading without measuring it."""
     group = "Absolute heading that no measurement observes"
-    if found.sigma_deg is None or found.sigma_deg > _NO_HEADING_DEG:
+    if result.sigma_deg is None or result.sigma_deg > _NO_HEADING_DEG:
         return [Row(group, "standard deviation", "none claimed")]
-    rows = [Row(group, "standard deviation", f"{found.sigma_deg:.3g} deg")]
-    if found.largest is not None:
-        begin_s, end_s = found.fastest_s
-        share = 100.0 * found.fastest / found.information
+    rows = [Row(group, "standard deviation", f"{result.sigma_deg:.3g} deg")]
+    if result.largest is not None:
+        begin_s, end_s = result.fastest_s
+        share = 100.0 * result.fastest / result.information
         fastest = f"{begin_s:.1f} to {end_s:.1f} s ({share:.0f} % of it)"
         rows.append(Row(group, "gained fastest", fastest))
-        most = found.largest
+        most = result.largest
         rows.append(
             Row(group, "largest gain by one update", f"{most.landmark} at {most.time_s:.1f} s")
         )

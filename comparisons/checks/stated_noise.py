@@ -67,13 +67,13 @@ class StatedNoiseFinding(Of[tuple[StatedNoise, ...]]):
 
     def __init__(self, components: Sequence[Component], remarks: Sequence[str] = ()) -> None:
         """components: of the smoother's residuals."""
-        value = tuple(_noise(one) for one in components)
+        value = tuple(_noise(component) for component in components)
         super().__init__(value, remarks=remarks, entries={"stated_noise": value})
 
     def rows(self) -> Sequence[Row]:
         """Return a row for every sensor."""
         group = "Noise by residuals over the stated sigma (95 % interval)"
-        return [Row(group, one.sensor, one.said) for one in self.value]
+        return [Row(group, noise.sensor, noise.said) for noise in self.value]
 
 
 class CheckStatedNoise(Check):
@@ -100,15 +100,15 @@ def _digits(factor: float) -> str:
     return f"{factor:.2f}" if 0.1 < factor < 10.0 else f"{factor:.2g}"
 
 
-def _noise(one: Component) -> StatedNoise:
-    low, high = one.interval()
+def _noise(component: Component) -> StatedNoise:
+    low, high = component.interval()
     return StatedNoise(
-        sensor=NAMES.get(one.name, one.name),
-        factor=one.factor,
+        sensor=NAMES.get(component.name, component.name),
+        factor=component.factor,
         low=low,
         high=high,
         testable=high <= _TESTABLE * low,
-        settled=one.settled,
+        settled=component.settled,
     )
 
 
@@ -118,15 +118,15 @@ def _remarks(result: SmootherEvidence, components: Sequence[Component]) -> list[
     Only where its noise alone explains all residuals; else another fault may have raised it.
     """
     odometry = [
-        one
-        for one in components
-        if one.name == "odometry" and not 1.0 / _WORTH < one.factor < _WORTH
+        component
+        for component in components
+        if component.name == "odometry" and not 1.0 / _WORTH < component.factor < _WORTH
     ]
     remarks = []
-    for one in other_noises(result, odometry):
-        low, high = one.component.interval(WORDS)
+    for noise in other_noises(result, odometry):
+        low, high = noise.component.interval(WORDS)
         remarks.append(
-            f"the residuals fit with a noise of the odometry {one.component.factor:.2g} times the "
-            f"stated ({low:.2g} to {high:.2g} in 99.9 %)"
+            f"the residuals fit with a noise of the odometry {noise.component.factor:.2g} times "
+            f"the stated ({low:.2g} to {high:.2g} in 99.9 %)"
         )
     return remarks

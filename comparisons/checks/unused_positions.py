@@ -87,14 +87,15 @@ class UnusedPositionsFinding(Of[UnusedPositions]):
 
     def rows(self) -> Sequence[Row]:
         """Return the middle of their squared residuals."""
-        one = self.value
+        positions = self.value
         return [
             Row(
                 "Positions that nobody has used",
-                f"squared residual, middle of {one.count} (expected {chi2_quantile(0.5, 2):.3g})",
-                f"{one.middle:.3g}",
-                f"up to {one.limit:.3g} ({one.independent:.3g} independent, 99.9 %)",
-                not one.contradict,
+                f"squared residual, middle of {positions.count} "
+                f"(expected {chi2_quantile(0.5, 2):.3g})",
+                f"{positions.middle:.3g}",
+                f"up to {positions.limit:.3g} ({positions.independent:.3g} independent, 99.9 %)",
+                not positions.contradict,
             )
         ]
 
@@ -154,10 +155,10 @@ def unused_positions(positions: Positions, smoothed: Estimate) -> UnusedPosition
     )
     if not judged.contradict:
         return judged
-    seen = PositionObservations(
+    observations = PositionObservations(
         positions.time_s, positions.position_m, covariance, positions.antenna_m
     )
-    return replace(judged, fit=position_fit(seen, path))
+    return replace(judged, fit=position_fit(observations, path))
 
 
 def _inside(positions: Positions, smoothed: Estimate) -> Positions:

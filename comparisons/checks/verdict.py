@@ -75,10 +75,10 @@ def judge(known: Known) -> Verdict:
     compares the filter with linear algebra. Otherwise an optimum that is not verified gives no
     verdict at all.
     """
-    found, remarks, stopped = counting(known), known.remarks, known.ekf.breakdown
-    if stopped and not any(one.gap == "breakdown" for one in found):
+    causes, remarks, stopped = counting(known), known.remarks, known.ekf.breakdown
+    if stopped and not any(one.gap == "breakdown" for one in causes):
         remarks = [f"{stopped}; all comparisons end at that time", *remarks]
-    return Verdict(outcome=decided(found), causes=tuple(found), remarks=tuple(remarks))
+    return Verdict(outcome=decided(causes), causes=tuple(causes), remarks=tuple(remarks))
 
 
 def faulty(known: Known) -> bool:

@@ -114,8 +114,10 @@ def _tidy(command: Any) -> None:
     """Ready help texts for rich: brackets are no markup, and only examples keep their lines."""
     paragraphs = (command.help or "").split("\n\n")
     command.help = "\n\n".join(
-        one.removeprefix("\b\n") if one.startswith("\b") else " ".join(one.split())
-        for one in paragraphs
+        paragraph.removeprefix("\b\n")
+        if paragraph.startswith("\b")
+        else " ".join(paragraph.split())
+        for paragraph in paragraphs
     ).replace("[", r"\[")
     command.help = command.help.replace(
         "\n\n", "\n\n\n", 1

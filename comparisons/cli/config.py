@@ -139,10 +139,12 @@ def _others(command: Any, job: str) -> list[str]:
     settings = {flag.option for flag in of_job(job)}
     lines = [
         line
-        for one in command.params
-        if getattr(one, "hidden", False) and one.help and one.opts[0].startswith("--")
-        and one.opts[0] not in settings
-        for line in _comment(f"{one.opts[0]}{_metavar(one)}: {one.help}")
+        for parameter in command.params
+        if getattr(parameter, "hidden", False)
+        and parameter.help
+        and parameter.opts[0].startswith("--")
+        and parameter.opts[0] not in settings
+        for line in _comment(f"{parameter.opts[0]}{_metavar(parameter)}: {parameter.help}")
     ]  # fmt: skip
     return ["", "# Options of the command line that are no settings:", *lines] if lines else []
 

@@ -115,7 +115,7 @@ def argument(
 
 def of_flag(flag: Flag, *, hidden: bool = False) -> inspect.Parameter:
     """Return an option as typer reads it; the help of one with choices names them."""
-    words = {one: one for one in flag.words}
+    words = {word: word for word in flag.words}
     kind: Any = Enum(flag.option, words, type=str) if words else flag.kind
     names = f"{flag.option}/--no-{flag.option[2:]}" if flag.off else flag.option
     option = typer.Option(

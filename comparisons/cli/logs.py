@@ -36,18 +36,19 @@ def logs(log: str | None, **given: Any) -> None:
         source = _read(log, given)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
         typer.echo(f"{source.name}: {records}; {source.duration_s:.1f} s")
-        found = examine(source)
-        test = found.test
-        if found.lacks:
-            typer.echo(f"not examined: {found.lacks}")
-        elif found.words:
-            typer.echo(found.words)
+        examination = examine(source)
+        test = examination.test
+        if examination.lacks:
+            typer.echo(f"not examined: {examination.lacks}")
+        elif examination.words:
+            typer.echo(examination.words)
             raise typer.Exit(1)
         else:
             fits = "fits its sigmas" if test.reading == "plausible" else f"is {test.reading}"
             typer.echo(
                 "no fault found in columns, clocks, places, frames, labels or sigmas: "
-                f"chi-square{found.part} {fits} ({test.chi2:.4g} for {test.dof} degrees of freedom)"
+                f"chi-square{examination.part} {fits} "
+                f"({test.chi2:.4g} for {test.dof} degrees of freedom)"
             )
 
 

@@ -98,7 +98,7 @@ def new_log(folder: Path, **given: Any) -> None:
         found = build(files)
         log = with_regular_motion(found.log)
         examined = examine(log)
-        if any(one.unit for one in examined.findings):
+        if any(finding.unit for finding in examined.findings):
             raise InputError(f"the files contradict each other: {examined.words}")
         write_log_folder(replace(log, format="new-log"), folder, found.remarks)
         records = ", ".join(f"{n:,} {name}" for name, n in read_log_folder(folder).records.items())
@@ -138,14 +138,14 @@ def _read_truth(
     if not lines or not lines[0].split()[0][:1].isdigit():
         options = column_options(units, columns, "truth")
         return read_plain(path, names, options=options, start_s=start_s)
-    found = read_trajectory_file(path)
-    if found.left_out:
-        typer.echo(found.left_out)
-    time_s = found.time_s - start_s
-    if found.time_ns is not None:
-        time_s = after_ns(found.time_ns, Decimal(start_s))
-    values = dict(zip(names, (time_s, *found.pose.T), strict=True))
-    line = list(range(1, len(found.time_s) + 1))
+    trajectory = read_trajectory_file(path)
+    if trajectory.left_out:
+        typer.echo(trajectory.left_out)
+    time_s = trajectory.time_s - start_s
+    if trajectory.time_ns is not None:
+        time_s = after_ns(trajectory.time_ns, Decimal(start_s))
+    values = dict(zip(names, (time_s, *trajectory.pose.T), strict=True))
+    line = list(range(1, len(trajectory.time_s) + 1))
     return PlainTable(path=path, columns=values, line=line, origin={}, headers=[])
 
 

@@ -39,9 +39,9 @@ class Output(Enum):
 def chosen_output(*, verbose: bool, json: bool, quiet: bool) -> Output:
     """Return what is printed. Raises InputError where more than one is asked for."""
     asked = {Output.VERBOSE: verbose, Output.JSON: json, Output.QUIET: quiet}
-    chosen = [one for one, given in asked.items() if given]
+    chosen = [output for output, given in asked.items() if given]
     if len(chosen) > 1:
-        names = " and ".join(f"--{one.name.lower()}" for one in chosen)
+        names = " and ".join(f"--{output.name.lower()}" for output in chosen)
         raise InputError(f"{names} exclude each other: give one of them")
     return chosen[0] if chosen else Output.BRIEF
 

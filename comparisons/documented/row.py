@@ -64,7 +64,7 @@ def same(first: Value, second: Value) -> bool:
     if isinstance(first, tuple) and isinstance(second, tuple):
         return len(first) == len(second) and all(map(same, first, second))
     numbers = [one for one in (first, second) if isinstance(one, int | float)]
-    if len(numbers) == 2 and not any(isinstance(one, bool) for one in numbers):
+    if len(numbers) == 2 and not any(isinstance(number, bool) for number in numbers):
         return math.isclose(*numbers, rel_tol=1e-9)
     return type(first) is type(second) and first == second
 

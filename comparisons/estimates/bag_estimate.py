@@ -103,8 +103,8 @@ def read_bag_estimate(path: Path, topics: Sequence[str] = ()) -> BagEstimate:
 
 
 def _topic(bag: ros_bag.Bag, path: Path) -> ros_bag.Topic:
-    found = [topic for kind in KINDS for topic in bag.topics(kind)]
-    chosen = [topic for topic in found if bag.is_chosen(topic)] or found
+    topics = [topic for kind in KINDS for topic in bag.topics(kind)]
+    chosen = [topic for topic in topics if bag.is_chosen(topic)] or topics
     if len(chosen) == 1:
         return chosen[0]
     names = ", ".join(f"{topic.name} ({topic.kind}, {topic.count})" for topic in chosen)

@@ -302,15 +302,15 @@ def _read_bag(
     for option, value in (("--times", times), ("--trace", trace)):
         if value is not None:
             raise InputError(f"{path}: is a ROS bag, which {option} does not go with")
-    found = read_bag_estimate(path, topics)
+    estimate = read_bag_estimate(path, topics)
     return ExternalEstimate(
-        time_s=found.time_ns / 1e9,
-        time_ns=found.time_ns,
-        pose=found.pose,
-        pose_covariance=found.covariance,
+        time_s=estimate.time_ns / 1e9,
+        time_ns=estimate.time_ns,
+        pose=estimate.pose,
+        pose_covariance=estimate.covariance,
         sha256=_hashes(sorted(path.iterdir()) if path.is_dir() else [path]),
-        left_out=found.left_out,
-        source=found.source,
+        left_out=estimate.left_out,
+        source=estimate.source,
     )
 
 

@@ -62,7 +62,7 @@ class TraceFile:
     def measurements_used(self) -> int:
         """How many measurements of the log it used, each counted once."""
         uses = self.trace.measurements[POINT], self.trace.initialisations[POINT]
-        number = np.concatenate([one.number for one in uses])
+        number = np.concatenate([use.number for use in uses])
         return len(np.unique(number[number >= 0]))
 
     def placed(self, names: LandmarkNames) -> TraceFile:

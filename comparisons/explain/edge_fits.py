@@ -118,7 +118,9 @@ def mended_graph(
 def _turns_less(problem: SlamProblem, before: SlamProblem) -> bool:
     """Whether no edge turns by more than all the way round, or than one did before."""
     every = EdgeSlot("", (ODOMETRY, CLOSURES))
-    turns, others = (np.abs(columns(one, every).z[:, 2]) for one in (problem, before))
+    turns, others = (
+        np.abs(columns(slam_problem, every).z[:, 2]) for slam_problem in (problem, before)
+    )
     most = max(2.0 * np.pi, float(np.max(others, initial=0.0)))
     return bool(np.max(turns, initial=0.0) <= most)
 
@@ -133,9 +135,9 @@ def _is_graph(problem: SlamProblem) -> bool:
         return False
     numbers = (p.increment, closed.motion, p.z, p.sigma, p.position)
     spreads = (p.increment_covariance[p.steps], closed.covariance, p.position_covariance)
-    if not all(np.isfinite(one).all() for one in (*numbers, *spreads)):
+    if not all(np.isfinite(array).all() for array in (*numbers, *spreads)):
         return False
-    return all(_definite(one) for one in spreads if len(one))
+    return all(_definite(covariance) for covariance in spreads if len(covariance))
 
 
 def _definite(covariance: Array) -> bool:

@@ -199,14 +199,18 @@ def _stand_twice(problem: SlamProblem) -> bool:
 def _reading(candidates: Sequence[EdgeCandidate], test: ChiSquareTest) -> EdgeReading:
     """One sentence of equally good explanations, those with the fewest numbers first."""
     by_kind: dict[str, EdgeCandidate] = {}
-    for one in sorted(candidates, key=lambda one: (one.numbers, one.likelihood)):
-        by_kind.setdefault(one.kind or one.words, one)
+    for candidate in sorted(
+        candidates, key=lambda candidate: (candidate.numbers, candidate.likelihood)
+    ):
+        by_kind.setdefault(candidate.kind or candidate.words, candidate)
     best = next(iter(by_kind.values()))
     listed = _of_one_map(list(by_kind.values()))
     words = ", or ".join(listed[:_MOST_NAMED])
     more = len(listed) - _MOST_NAMED
     words += f", or by {more} more changes" if more > 0 else ""
-    smaller = test.reading == "too low" and any(_TIMES in one.words for one in by_kind.values())
+    smaller = test.reading == "too low" and any(
+        _TIMES in candidate.words for candidate in by_kind.values()
+    )
     return EdgeReading(words, replace(test, chi2=best.test.chi2, dof=best.test.dof), smaller)
 
 
@@ -216,26 +220,30 @@ def _of_one_map(candidates: Sequence[EdgeCandidate]) -> list[str]:
     These have one map but for a mirror or quarter turns, which no edge tells.
     """
     groups: list[list[EdgeCandidate]] = []
-    for one in candidates:
+    for candidate in candidates:
         for group in groups:
-            if _is_one_map(group[0], one):
-                group.append(one)
+            if _is_one_map(group[0], candidate):
+                group.append(candidate)
                 break
         else:
-            groups.append([one])
+            groups.append([candidate])
     return [_of_group(group) for group in groups]
 
 
-def _is_one_map(one: EdgeCandidate, other: EdgeCandidate) -> bool:
-    plain = one.slot == other.slot and not one.numbers + other.numbers
-    return plain and abs(one.test.chi2 - other.test.chi2) <= _ALIKE * one.test.chi2
+def _is_one_map(candidate: EdgeCandidate, other: EdgeCandidate) -> bool:
+    plain = candidate.slot == other.slot and not candidate.numbers + other.numbers
+    return plain and abs(candidate.test.chi2 - other.test.chi2) <= _ALIKE * candidate.test.chi2
 
 
 def _of_group(group: Sequence[EdgeCandidate]) -> str:
     """Join words of one slot; changes of two sorts at once are said by what they amount to."""
-    simple = [one.words for one in group if _BOTH not in one.words] or [group[0].words]
+    simple = [candidate.words for candidate in group if _BOTH not in candidate.words] or [
+        group[0].words
+    ]
     head = f"{group[0].slot} fit "
-    words = " or ".join([simple[0], *(one.removeprefix(head) for one in simple[1:_MOST_NAMED])])
+    words = " or ".join(
+        [simple[0], *(phrase.removeprefix(head) for phrase in simple[1:_MOST_NAMED])]
+    )
     return words if len(simple) == len(group) else f"{words} (or so, mirrored or turned)"
 
 
@@ -245,9 +253,13 @@ def equally_good(every: Sequence[EdgeCandidate]) -> list[EdgeCandidate]:
     Args:
         every: Of one graph.
     """
-    least = min((one.likelihood for one in every), default=0.0)
-    alike = [one for one in every if one.is_sound and one.likelihood <= least + _AS_LIKELY]
-    return [] if all(one.is_vague for one in alike) else alike
+    least = min((candidate.likelihood for candidate in every), default=0.0)
+    alike = [
+        candidate
+        for candidate in every
+        if candidate.is_sound and candidate.likelihood <= least + _AS_LIKELY
+    ]
+    return [] if all(candidate.is_vague for candidate in alike) else alike
 
 
 class _Search:
@@ -259,8 +271,8 @@ class _Search:
         self.stated = Goodness(result.problem, result.graph, result.values)
         self.likelihood = likelihood(self.stated)
         every = [fault for slot in slots(self.problem) for fault in faults_of(slot)]
-        self.plain = [one for one in every if not one.change.neutral]
-        self.numbered = [one for one in every if one.change.neutral]
+        self.plain = [fault for fault in every if not fault.change.neutral]
+        self.numbered = [fault for fault in every if fault.change.neutral]
         self.edges = len(self.problem.steps) + len(self.problem.loop_closures.first)
         self.edges += len(self.problem.z)
         self._solved: dict[tuple[object, ...], Goodness | None] = {}
@@ -268,10 +280,12 @@ class _Search:
 
     def candidates(self) -> list[EdgeCandidate]:
         """Return all changes that are likelier than the graph as it stands."""
-        measured = self._screened(one for one in self.plain if one.change.keeps_weights)
-        informations = self._screened(one for one in self.plain if not one.change.keeps_weights)
+        measured = self._screened(fault for fault in self.plain if fault.change.keeps_weights)
+        informations = self._screened(
+            fault for fault in self.plain if not fault.change.keeps_weights
+        )
         every = [*self._plainly(measured), *self._plainly(informations)]
-        if not any(one.is_sound for one in every):  # else no other leaves so much less
+        if not any(candidate.is_sound for candidate in every):  # else no other leaves so much less
             every += [*self._by_noise(), *self._by_size(measured)]
             if self.edges <= MOST_EDGES:
                 every += [*self._by_numbers(), *self._by_single()]
@@ -296,7 +310,7 @@ class _Search:
             return None
         edges = columns(mended, fault.slot)
         numbers = (edges.first, edges.second, np.round(edges.z, 9), _digits(edges.covariance))
-        key = fault.slot.kinds, *(one.tobytes() for one in numbers)
+        key = fault.slot.kinds, *(number.tobytes() for number in numbers)
         if key not in self._solved:
             self._solved[key] = optimum_with(fault, self.problem)
         return self._solved[key]
@@ -311,7 +325,7 @@ class _Search:
                 if not fault.change.keeps_weights:  # else the largest covariance were the best
                     sizes = np.maximum(sizes, 1.0 / np.maximum(sizes, 1e-300))
                 scored.append((float(np.max(sizes, initial=0.0)), len(scored), fault))
-        scored.sort(key=lambda one: one[:2])
+        scored.sort(key=lambda score: score[:2])
         most = max(_CLOSING, 2.0 * scored[0][0]) if scored else 0.0
         return [fault for score, _, fault in scored[: self.most] if score <= most]
 
@@ -373,8 +387,8 @@ class _Search:
                 continue
             words = f"{fault.slot.words} fit {fault.said(numbers, _WIDTH * sigma)}"
             value = likelihood(goodness, self._log_volume(fault, numbers))
-            for one in self._candidate(words, fault.slot, goodness, value, len(numbers)):
-                yield one._replace(kind=fault.kind)
+            for candidate in self._candidate(words, fault.slot, goodness, value, len(numbers)):
+                yield candidate._replace(kind=fault.kind)
 
     def _likeliest(self) -> list[tuple[EdgeFault, Array]]:
         """Return the faults with numbers that loops speak for, and numbers from which to begin.
@@ -387,8 +401,8 @@ class _Search:
             if fault.kind in rough:
                 continue
             falls[fault.kind] = self._fall(fault)
-            starts = [np.array(one) for one in (fault.change.neutral, *fault.change.starts)]
-            open_by = [openness(fault, self.problem, one) for one in starts]
+            starts = [np.array(numbers) for numbers in (fault.change.neutral, *fault.change.starts)]
+            open_by = [openness(fault, self.problem, start) for start in starts]
             for k in np.argsort(open_by, kind="stable")[:_MOST_STARTS].tolist():
                 start = starts[k]
                 numbers, score = roughly(fault, self.problem, start)
@@ -396,16 +410,24 @@ class _Search:
                     rough[fault.kind] = score, numbers
         ranked = sorted(rough, key=lambda kind: rough[kind][0])
         best = ranked[: min(_MOST_FITTED, self.most)]
-        best += [one for one in ranked if rough[one][0] < _AS_CLOSE * rough[best[0]][0]]
+        best += [kind for kind in ranked if rough[kind][0] < _AS_CLOSE * rough[best[0]][0]]
         steepest = sorted(falls, key=lambda kind: -falls[kind])[: min(_MOST_FITTED, self.most)]
-        chosen = [(one, rough[one.kind][1]) for one in self.numbered if one.kind in best]
+        chosen = [
+            (edge_fault, rough[edge_fault.kind][1])
+            for edge_fault in self.numbered
+            if edge_fault.kind in best
+        ]
         neutral = [
-            (one, np.array(one.change.neutral)) for one in self.numbered if one.kind in steepest
+            (edge_fault, np.array(edge_fault.change.neutral))
+            for edge_fault in self.numbered
+            if edge_fault.kind in steepest
         ]
         return chosen + [
-            (one, start) for one, start in neutral
-            if one.kind not in best or np.abs(rough[one.kind][1] - start).max() > _APART
-        ]  # fmt: skip
+            (edge_fault, start)
+            for edge_fault, start in neutral
+            if edge_fault.kind not in best
+            or np.abs(rough[edge_fault.kind][1] - start).max() > _APART
+        ]
 
     def _fall(self, fault: EdgeFault) -> float:
         """Return by how much chi-square would fall, to first order."""
@@ -430,9 +452,9 @@ class _Search:
                 continue
             words = _said_information(slot.words, noise.factor, low, high)
             value = likelihood(goodness)
-            for one in self._candidate(words, slot, goodness, value, 1, weights=True):
+            for candidate in self._candidate(words, slot, goodness, value, 1, weights=True):
                 vague = high > _MOST_RATIO * low
-                yield one._replace(kind=f"{slot.words} {_TIMES}", is_vague=vague)
+                yield candidate._replace(kind=f"{slot.words} {_TIMES}", is_vague=vague)
 
     def _by_single(self) -> Iterator[EdgeCandidate]:
         """Yield the edges without which all others fit: up to a few."""
@@ -443,7 +465,7 @@ class _Search:
                 fit = optimum_of(_left_out(problem, slot), any_size=True)
                 if fit is not None:
                     fits.append((fit.test.chi2, len(fits), slot, fit))
-            fits.sort(key=lambda one: one[:2])
+            fits.sort(key=lambda fit: fit[:2])
             if not fits or not fits[0][0] < goodness.test.chi2 - _LIKELIER:
                 return
             for _, _, slot, fit in fits:
@@ -462,9 +484,9 @@ class _Search:
         words = f"{' and '.join(names)} do{'es' if alone else ''} not agree with the rest, which "
         words += "fits without it" if alone else "fits without them"
         value = likelihood(goodness) + len(names) * self._anything()
-        for one in self._candidate(words, last, goodness, value):
-            said = self._of_single(last, goodness) if alone and one.is_sound else ""
-            yield one._replace(words=f"{words}, and with it {said}" if said else words)
+        for candidate in self._candidate(words, last, goodness, value):
+            said = self._of_single(last, goodness) if alone and candidate.is_sound else ""
+            yield candidate._replace(words=f"{words}, and with it {said}" if said else words)
 
     def _anything(self) -> float:
         """-2 log likelihood of an edge that may measure anything, being any of the edges."""
@@ -507,7 +529,7 @@ def _misses(edges: EdgeColumns, slot: EdgeSlot, poses: Array) -> bool:
 
 def _said_information(slot: str, factor: float, low: float, high: float) -> str:
     """Say of an information what the noise's factor tells of it."""
-    size, least, most = (one**-2.0 for one in (factor, high, low))
+    size, least, most = (times**-2.0 for times in (factor, high, low))
     return f"{slot} fit with {size:.2g} ({least:.2g} to {most:.2g}) times the information"
 
 

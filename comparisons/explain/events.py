@@ -274,8 +274,8 @@ class _Search:
         """
         for i, (before, faults) in enumerate(by_event):
             event = self.events[i]
-            first = not any(_same(one, event) for one in self.events[:i])
-            like = any(_same(event, one) for one in self.events[i + 1 :])
+            first = not any(_same(earlier, event) for earlier in self.events[:i])
+            like = any(_same(event, later) for later in self.events[i + 1 :])
             if from_first:
                 ways = [True] if first and like else []
             else:
@@ -289,26 +289,30 @@ class _Search:
         """Return which errors give the snapshot."""
         fits = self._reproducing(tries, self._numbers(tries, self._neutral(tries)))
         named = {id(fit.one.fault) for fit in fits}
-        factors = [one for one in tries if one.fault.start == (1.0,)]
-        factors = [one for one in factors if id(one.fault) not in named]
+        factors = [attempt for attempt in tries if attempt.fault.start == (1.0,)]
+        factors = [factor for factor in factors if id(factor.fault) not in named]
         if not factors:
             return fits
         fits += self._reproducing(factors, self._numbers(factors, self._nearest(factors)))
-        order = {id(one.fault): k for k, one in enumerate(tries)}
+        order = {id(attempt.fault): k for k, attempt in enumerate(tries)}
         return sorted(fits, key=lambda fit: order[id(fit.one.fault)])
 
     def _reproducing(
         self, tries: Sequence[_Try], numbers: Sequence[tuple[float, ...]]
     ) -> list[_Fit]:
         return [
-            self._fit(one, values)
-            for one, values, apart in zip(tries, numbers, self._off(tries, numbers), strict=True)
+            self._fit(attempt, values)
+            for attempt, values, apart in zip(
+                tries, numbers, self._off(tries, numbers), strict=True
+            )
             if float(np.abs(apart).max()) <= self.allowed
         ]
 
     def _neutral(self, tries: Sequence[_Try]) -> Array:
         """(T,) numbers of no fault; NaN of errors that have none."""
-        return np.array([one.fault.start[0] if one.fault.start else np.nan for one in tries])
+        return np.array(
+            [attempt.fault.start[0] if attempt.fault.start else np.nan for attempt in tries]
+        )
 
     def _nearest(self, tries: Sequence[_Try]) -> Array:
         """(T,) of some factors the one that leaves least."""
@@ -320,25 +324,25 @@ class _Search:
         nearest: Array = np.array(_FACTORS)[best]
         return nearest
 
-    def _fit(self, one: _Try, numbers: tuple[float, ...]) -> _Fit:
-        fault, event = one.fault, self.events[one.at]
-        repeated = one.repeated
+    def _fit(self, attempt: _Try, numbers: tuple[float, ...]) -> _Fit:
+        fault, event = attempt.fault, self.events[attempt.at]
+        repeated = attempt.repeated
         if repeated:
-            (once,) = self._off([one._replace(repeated=False)], [numbers])
+            (once,) = self._off([attempt._replace(repeated=False)], [numbers])
             repeated = not float(np.abs(once).max()) <= self.allowed
         cause = EventCause(
             event, fault.said(*numbers), fault.blocks, fault.kind, fault.sound, repeated,
             KnownFault(fault, event),
         )  # fmt: skip
         count = digits(numbers[0], fault.start[0]) if numbers else 0
-        return _Fit(count, one, cause)
+        return _Fit(count, attempt, cause)
 
     def _numbers(self, tries: Sequence[_Try], start: Array) -> list[tuple[float, ...]]:
         """Fit the numbers of errors by secants, all at once; NaN where one explains nothing.
 
         start: (T,) where to begin; NaN of errors without a number.
         """
-        numbers: list[tuple[float, ...]] = [one.fault.start for one in tries]
+        numbers: list[tuple[float, ...]] = [attempt.fault.start for attempt in tries]
         active = np.flatnonzero(np.isfinite(start)).tolist()
         if not active:
             return numbers
@@ -400,7 +404,7 @@ class _Search:
         later = self.events[first.at + 1 :]
         size = max(1.0, first.before.layout.size / _SMALL)
         self.left -= len(tries) * (1 + len(later)) * size**2
-        faults = [one.fault for one in tries]
+        faults = [attempt.fault for attempt in tries]
         made = afters(faults, numbers, first.before, event)
         possible = [k for k, p in enumerate(made) if p is not None]
         covariances: list[Array | None] = [None] * len(tries)
@@ -447,8 +451,8 @@ def _tier(fault: EventFault) -> int:
     return fault.tier
 
 
-def _simplicity(one: _Try) -> tuple[int, bool, int]:
-    return one.at, one.repeated, one.fault.tier
+def _simplicity(attempt: _Try) -> tuple[int, bool, int]:
+    return attempt.at, attempt.repeated, attempt.fault.tier
 
 
 def _halves(p: Array) -> Array:

@@ -114,8 +114,8 @@ def named(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> list[str]:
 
     Empty where nothing deviates, or nothing explains it.
     """
-    found = best(quantity, hypotheses)
-    return [] if found is None else [found[0].counted(found[1], quantity)]
+    fitted = best(quantity, hypotheses)
+    return [] if fitted is None else [fitted[0].counted(fitted[1], quantity)]
 
 
 def best(

@@ -354,10 +354,14 @@ def tried_jacobians(
         operand = group.operand(sensors.get(group.kind.of, NO_SENSOR).components)
         promised += _promises(group, [gradients[number] for number in group.numbers], operand)
     most = _most_tried(steps) // 2
-    plain = _tried(steps, factors, [one for one in promised if not one.change.numbers], most)
-    numbered = _selected([one for one in promised if one.change.numbers], most // len(_SHARES))
+    plain = _tried(
+        steps, factors, [promise for promise in promised if not promise.change.numbers], most
+    )
+    numbered = _selected(
+        [promise for promise in promised if promise.change.numbers], most // len(_SHARES)
+    )
     tried = [*plain, *_fitted(steps, factors, numbered)]
-    likely = [one for one in tried if one.gained > _LEAST_GAINED]
+    likely = [change for change in tried if change.gained > _LEAST_GAINED]
     return TriedJacobians(likely, len(promised))
 
 
@@ -374,8 +378,8 @@ def _selected(promised: Sequence[_Promise], most: int) -> list[_Promise]:
     """
     if len(promised) <= most:
         return list(promised)
-    likeliest = sorted(promised, key=lambda one: -one.gained)[: most // 2]
-    by_slot = {one.change.slot: one for one in (*likeliest, *promised)}
+    likeliest = sorted(promised, key=lambda promise: -promise.gained)[: most // 2]
+    by_slot = {promise.change.slot: promise for promise in (*likeliest, *promised)}
     return list(by_slot.values())[:most]
 
 
@@ -383,7 +387,7 @@ def _tried(
     steps: Sequence[RecordedStep], factors: Factors, promised: Sequence[_Promise], most: int
 ) -> list[JacobianChange]:
     """Changes without a number, with what they gain."""
-    changes = [one.change for one in _selected(promised, most)]
+    changes = [promise.change for promise in _selected(promised, most)]
     gained = _gains(steps, factors, changes).tolist()
     return [change._replace(gained=x) for change, x in zip(changes, gained, strict=True)]
 
@@ -393,10 +397,10 @@ def _promises(
 ) -> Iterator[_Promise]:
     """Yield the changes of a group, those that come to the same once, the simplest first."""
     sound = np.stack(group.jacobians)
-    of_entries = [np.stack([one.slope for one in gradients], axis=2)]
+    of_entries = [np.stack([gradient.slope for gradient in gradients], axis=2)]
     if any(estimate.any() for estimate in group.estimates):
         pairs = zip(gradients, group.estimates, strict=True)
-        of_entries.append(np.stack([one.with_estimate(x) for one, x in pairs], axis=2))
+        of_entries.append(np.stack([pair.with_estimate(x) for pair, x in pairs], axis=2))
     known: set[bytes] = set()
     scale = float(np.abs(sound).max()) or 1.0
     for composition, direction in _changes(operand, sound):
@@ -453,8 +457,8 @@ def _fitted(
     """Changes with a number, where it is likeliest: those that gain most by some number."""
     if not promised:
         return []
-    starts = np.array([one.change.composition.start[0] for one in promised])
-    toward = np.array([one.change.numbers[0] for one in promised]) - starts
+    starts = np.array([promise.change.composition.start[0] for promise in promised])
+    toward = np.array([promise.change.numbers[0] for promise in promised]) - starts
     tried = starts[:, None] + np.multiply.outer(toward, _SHARES)
     by_number = _gains_by_number(steps, factors, promised, tried)
     best = np.argsort(-by_number.max(axis=1), kind="stable")[:_MOST_FITTED]
@@ -470,12 +474,12 @@ def _fitted(
     for _ in range(_ROUNDS):
         curve = _curve(gains, curve.toward, curve.width)
     fitted = []
-    for one, *row in zip(promised, *(column.tolist() for column in curve), strict=True):
+    for promise, *row in zip(promised, *(column.tolist() for column in curve), strict=True):
         number, gained, bend, *_ = row
         if bend < 0.0:
             half = 1.96 / np.sqrt(-bend)
-            more = one.must_gain(number)
-            change = one.change._replace(gained=gained - more, numbers=(number,))
+            more = promise.must_gain(number)
+            change = promise.change._replace(gained=gained - more, numbers=(number,))
             fitted.append(change._replace(interval=(number - half, number + half)))
     return fitted
 
@@ -485,8 +489,8 @@ def _gains_by_number(
 ) -> Array:
     """(N, k) what changes gain by k numbers (N, k) each."""
     tried = [
-        one.change._replace(numbers=(number,))
-        for one, row in zip(promised, numbers.tolist(), strict=True)
+        promise.change._replace(numbers=(number,))
+        for promise, row in zip(promised, numbers.tolist(), strict=True)
         for number in row
     ]
     return _gains(steps, factors, tried).reshape(numbers.shape)

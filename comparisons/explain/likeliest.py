@@ -100,15 +100,18 @@ def likeliest_cause(
             noise or a constant would be named.
     """
     candidates = _numbered(steps, factors)
-    if is_off or any(one.p_value < level for one in candidates):
+    if is_off or any(candidate.p_value < level for candidate in candidates):
         candidates += _of_jacobians(steps, factors, sensors)
     if not candidates:
         return None
-    best = _simplest(max(candidates, key=lambda one: one.rank), candidates)
+    best = _simplest(max(candidates, key=lambda candidate: candidate.rank), candidates)
     if not best.p_value < level:
         return None
-    alike = [one for one in candidates if _is_alike(one, best)]
-    others = {_whole(one.fitted.slot): one.fitted for one in sorted(alike, key=lambda c: c.rank)}
+    alike = [candidate for candidate in candidates if _is_alike(candidate, best)]
+    others = {
+        _whole(candidate.fitted.slot): candidate.fitted
+        for candidate in sorted(alike, key=lambda c: c.rank)
+    }
     others.pop(_whole(best.fitted.slot), None)
     return InnovationCause(best.fitted, best.p_value, tuple(reversed(others.values())), best.begun)
 
@@ -124,17 +127,17 @@ def beside_others(
         return cause
     slot = cause.fitted.slot
     of_all = slot._replace(since=0)
-    fitted = {one.slot: one for one in _fitted(steps, list({slot, of_all}), factors)}
+    fitted = {offset.slot: offset for offset in _fitted(steps, list({slot, of_all}), factors)}
     here, whole = fitted.get(slot), fitted.get(of_all)
     if whole is not None and (here is None or whole.gained >= here.gained - LATER):
         return cause._replace(fitted=whole, begun=(0, 0))
     return cause if here is None else cause._replace(fitted=here)
 
 
-def _is_alike(one: _Candidate, best: _Candidate) -> bool:
+def _is_alike(candidate: _Candidate, best: _Candidate) -> bool:
     """Whether a cause is as likely as the best, with or without what it must gain more."""
     least, least_gained = best.rank - _NOT_TOLD_APART, best.fitted.gained - _NOT_TOLD_APART
-    return one.rank >= least or one.fitted.gained >= least_gained
+    return candidate.rank >= least or candidate.fitted.gained >= least_gained
 
 
 def _of_jacobians(
@@ -148,15 +151,15 @@ def _of_jacobians(
     log_count = math.log(max(1, tried.total))
     more = max(0.0, log_count - math.log(max(1, len(_slots(steps, factors)))))
     return [
-        _Candidate(one, one.gained - more, math.exp(min(0.0, log_count - one.gained)))
-        for one in tried.changes
+        _Candidate(change, change.gained - more, math.exp(min(0.0, log_count - change.gained)))
+        for change in tried.changes
     ]
 
 
 def _slots(steps: Sequence[RecordedStep], factors: Factors) -> list[Slot]:
     """Noises and constants of the whole trace, without those that are known."""
     known = {_whole(slot) for slot in factors}
-    noises = [one for one in noise_slots(steps) if one not in known]
+    noises = [slot for slot in noise_slots(steps) if slot not in known]
     return [*noises, *offset_slots(steps)]
 
 
@@ -166,29 +169,29 @@ def _numbered(steps: Sequence[RecordedStep], factors: Factors) -> list[_Candidat
     promising = sorted(scored, key=_promise)[-_MOST_FITTED:]
     if not promising or _promise(promising[-1]) < _LEAST_PROMISE:
         return []
-    whole = _fitted(steps, [one.slot for one in promising], factors)
+    whole = _fitted(steps, [slot.slot for slot in promising], factors)
     if not whole:
         return []
     later = _later(steps, promising, whole, factors)
     return [
-        *(_candidate(one, len(scored)) for one in whole),
-        *(_candidate(one.fitted, len(scored), one.begun) for one in later),
+        *(_candidate(offset, len(scored)) for offset in whole),
+        *(_candidate(candidate.fitted, len(scored), candidate.begun) for candidate in later),
     ]
 
 
-def _candidate(one: Numbered, count: int, begun: tuple[int, int] = (0, 0)) -> _Candidate:
+def _candidate(offset: Numbered, count: int, begun: tuple[int, int] = (0, 0)) -> _Candidate:
     """A cause with one number, of so many."""
-    rank = one.gained - (LATER if one.slot.since else 0.0)
+    rank = offset.gained - (LATER if offset.slot.since else 0.0)
     p_value = min(1.0, count * float(gammaincc(0.5, max(0.0, rank))))
-    return _Candidate(one, rank, p_value, begun)
+    return _Candidate(offset, rank, p_value, begun)
 
 
 def _whole(slot: AnySlot) -> AnySlot:
     return slot._replace(since=0)
 
 
-def _promise(one: ScoredSlot) -> float:
-    return max(one.gained, one.gained_since)
+def _promise(slot: ScoredSlot) -> float:
+    return max(slot.gained, slot.gained_since)
 
 
 def _fitted(
@@ -206,17 +209,17 @@ def _simplest(best: _Candidate, candidates: Sequence[_Candidate]) -> _Candidate:
     All of a sensor's noise is simpler than that of a component, and a change of a Jacobian without
     a number than one with it.
     """
-    alike = [one for one in candidates if one.rank >= best.rank - AS_LIKELY]
+    alike = [candidate for candidate in candidates if candidate.rank >= best.rank - AS_LIKELY]
     fitted, slot = best.fitted, best.fitted.slot
     if isinstance(slot, NoiseSlot) and slot.component >= 0 and not slot.since:
         every = slot._replace(component=-1)
-        return next((one for one in alike if one.fitted.slot == every), best)
+        return next((candidate for candidate in alike if candidate.fitted.slot == every), best)
     if isinstance(fitted, JacobianChange) and fitted.numbers:
         plain = [
-            one for one in alike
-            if isinstance(one.fitted, JacobianChange) and not one.fitted.numbers
+            candidate for candidate in alike
+            if isinstance(candidate.fitted, JacobianChange) and not candidate.fitted.numbers
         ]  # fmt: skip
-        return max(plain, key=lambda one: one.rank, default=best)
+        return max(plain, key=lambda candidate: candidate.rank, default=best)
     return best
 
 
@@ -234,25 +237,25 @@ def _later(
     factors: Factors,
 ) -> list[_Later]:
     """The likeliest causes, each from the event on from which it is likeliest."""
-    begun = [one.slot._replace(since=one.since) for one in promising if one.since]
-    by_slot: dict[AnySlot, Numbered] = {one.slot: one for one in whole}
-    for one in _fitted(steps, begun, factors):
-        before = by_slot.get(_whole(one.slot))
-        if before is not None and one.gained > before.gained:
-            by_slot[_whole(one.slot)] = one
+    begun = [slot.slot._replace(since=slot.since) for slot in promising if slot.since]
+    by_slot: dict[AnySlot, Numbered] = {offset.slot: offset for offset in whole}
+    for offset in _fitted(steps, begun, factors):
+        before = by_slot.get(_whole(offset.slot))
+        if before is not None and offset.gained > before.gained:
+            by_slot[_whole(offset.slot)] = offset
     likeliest = list(by_slot.values())
-    if not max(one.gained for one in likeliest) > _LEAST_FITTED:
+    if not max(offset.gained for offset in likeliest) > _LEAST_FITTED:
         return []
-    promised: dict[AnySlot, int] = {one.slot: one.since for one in promising}
+    promised: dict[AnySlot, int] = {slot.slot: slot.since for slot in promising}
     gained = _gains_by_beginning(steps, likeliest, promised, factors)
     later: dict[Slot, tuple[int, int]] = {}
-    for one, by in zip(likeliest, gained, strict=True):
+    for offset, by in zip(likeliest, gained, strict=True):
         if by and math.isfinite(max(by.values())):
             most = max(by.values())  # of a filter that diverges so much that 4 less is the same
             alike = [since for since in by if by[since] >= most - AS_LIKELY]
             since = max(by, key=lambda since: by[since])
-            later[one.slot._replace(since=since)] = min(alike), max(alike)
-    return [_Later(one, later[one.slot]) for one in _fitted(steps, list(later), factors)]
+            later[offset.slot._replace(since=since)] = min(alike), max(alike)
+    return [_Later(offset, later[offset.slot]) for offset in _fitted(steps, list(later), factors)]
 
 
 def _gains_by_beginning(
@@ -265,10 +268,10 @@ def _gains_by_beginning(
 
     promised: the event from which on each slot promises most.
     """
-    numbers = [[e.number for e, *_ in steps if one.slot.touches(e)][1:] for one in likeliest]
+    numbers = [[e.number for e, *_ in steps if offset.slot.touches(e)][1:] for offset in likeliest]
     tried = [
-        [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(one.slot)])]
-        for one, of in zip(likeliest, numbers, strict=True)
+        [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(offset.slot)])]
+        for offset, of in zip(likeliest, numbers, strict=True)
     ]
     gained = _gains(steps, likeliest, tried, factors)
     for _ in range(_ROUNDS):
@@ -316,7 +319,7 @@ def _gains(
         for k, cause in enumerate(causes)
         for since in beginnings[k]
     ]
-    noises = [(k, slot, one.factor) for k, one, slot in pairs if isinstance(one, NoiseFactor)]
+    noises = [(k, slot, pair.factor) for k, pair, slot in pairs if isinstance(pair, NoiseFactor)]
     gained: list[dict[int, float]] = [{} for _ in causes]
     if noises:
         logs = log_likelihoods(steps, [factors, *({**factors, s: x} for _, s, x in noises)])
@@ -324,6 +327,6 @@ def _gains(
             gained[k][slot.since] = value
     at = {slot: k for k, _, slot in pairs}
     offsets = [slot for slot in at if isinstance(slot, OffsetSlot)]
-    for one in fitted_offsets(steps, offsets, factors):
-        gained[at[one.slot]][one.slot.since] = one.gained
+    for offset in fitted_offsets(steps, offsets, factors):
+        gained[at[offset.slot]][offset.slot.since] = offset.gained
     return gained

@@ -267,7 +267,7 @@ class _Recursions:
         count = len(noises)
         self.covariance, self.mean = np.zeros((count, 0, 0)), np.zeros((count, 0))
         self.likelihood = np.zeros(count)
-        self._beginnings = sorted({slot.since for one in noises for slot in one})
+        self._beginnings = sorted({slot.since for noise in noises for slot in noise})
         self._known_roots: dict[tuple[Blocks, int], Array] = {}
         self._known_of_sensor: dict[tuple[str, int, int], Array] = {}
 

@@ -249,7 +249,7 @@ class _Sensitivities:
         key = of, isinstance(step.event, Predict), size
         if key not in self.shares:
             slots = enumerate(self.slots)
-            of_these = [k for k, one in slots if (one.of, one.is_predicted) == key[:2]]
+            of_these = [k for k, slot in slots if (slot.of, slot.is_predicted) == key[:2]]
             which = np.reshape([self.slots[k].share(size) for k in of_these], (-1, size))
             self.shares[key] = np.array(of_these, dtype=np.intp), which
         members, shares = self.shares[key]
@@ -316,7 +316,7 @@ def without_offsets(
     layout = BlockLayout()
     for step in steps:
         event = step.event
-        there = [one for one in offsets if one.slot.since <= event.number]
+        there = [offset for offset in offsets if offset.slot.since <= event.number]
         match event:
             case TracePrior():
                 layout = BlockLayout(event.blocks, event.dims)

@@ -84,7 +84,7 @@ def other_optimum(problem: SlamProblem, poses: Array) -> OtherOptimum | None:
         for chart in CHARTS:
             length, most = _derivative(other, poses, chart, unit)
             tried.append((length / max(most, least), words, other, chart))
-    tried.sort(key=lambda one: one[0])
+    tried.sort(key=lambda candidate: candidate[0])
     named: dict[str, float] = {}
     for _, words, other, chart in tried[:_PROMISING]:
         left = _step(other, poses, chart, unit)[0]
@@ -171,7 +171,9 @@ def _sparse(blocks: Array, pose: Index, count: int) -> csr_matrix:
     edges = len(blocks) // 2
     row = 3 * np.tile(np.arange(edges), 2)[:, None, None] + np.arange(3)[:, None]
     column = 3 * (pose - 1)[:, None, None] + np.arange(3)
-    row, column = (np.broadcast_to(one, blocks.shape)[pose > 0].ravel() for one in (row, column))
+    row, column = (
+        np.broadcast_to(index, blocks.shape)[pose > 0].ravel() for index in (row, column)
+    )
     values = blocks[pose > 0].ravel()
     return coo_matrix((values, (row, column)), shape=(3 * edges, 3 * count - 3)).tocsr()
 

@@ -328,7 +328,7 @@ class LikelihoodSlopes:
     def scored(self) -> list[ScoredSlot]:
         """Return all slots with what they gain."""
         columns = self._gained().tolist(), self.since.tolist(), self.best.tolist()
-        return [ScoredSlot(*one) for one in zip(self.slots, *columns, strict=True)]
+        return [ScoredSlot(*score) for score in zip(self.slots, *columns, strict=True)]
 
 
 def _noise_shares(noise: Array, r: Array, n: Array) -> Array:

@@ -55,10 +55,12 @@ def _not_transposed(
 def other_gain(factor: float) -> Plant:
     """W with another R, the covariance by Joseph's form."""
 
-    def update(own: Any, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> Any:
-        state: KalmanState = own.__self__
+    def update(
+        original: Any, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Any:
+        state: KalmanState = original.__self__
         p, wide = state.covariance.copy(), factor * noise
-        done = own(columns, jacobian, innovation, wide)
+        done = original(columns, jacobian, innovation, wide)
         w, keep = _gain(p, columns, jacobian, wide)
         state._covariance[: len(p), : len(p)] = keep @ p @ keep.T + w @ noise @ w.T
         return done
@@ -66,10 +68,10 @@ def other_gain(factor: float) -> Plant:
     return keeping(update=update)
 
 
-def _only_seen(own: Any, columns: Index, *args: Array) -> Correction:
-    state: KalmanState = own.__self__
+def _only_seen(original: Any, columns: Index, *args: Array) -> Correction:
+    state: KalmanState = original.__self__
     before = state.mean.copy()
-    done: Correction = own(columns, *args)
+    done: Correction = original(columns, *args)
     unseen = np.setdiff1d(np.arange(len(before)), columns)
     state._mean[unseen] = before[unseen]
     return done
@@ -88,7 +90,7 @@ FAULTS = {
     ),
     "F transposed": Fault(
         "F^T P F in the prediction",
-        keeping(predict=lambda own, x, f, q: own(x, f.T, q)),
+        keeping(predict=lambda original, x, f, q: original(x, f.T, q)),
     ),
     "asymmetric covariance": Fault(
         "the prediction writes the upper cross-covariance only", after("predict", _lower_as_before)
@@ -108,10 +110,10 @@ FAULTS = {
     ),
     "innovation subtracted": Fault(
         "x - W nu in the update",
-        keeping(update=lambda own, columns, h, nu, r: own(columns, h, -nu, r)),
+        keeping(update=lambda original, columns, h, nu, r: original(columns, h, -nu, r)),
     ),
     "R left out of S": Fault(
         "S = H P H^T in the gain",
-        keeping(update=lambda own, columns, h, nu, r: own(columns, h, nu, 1e-6 * r)),
+        keeping(update=lambda original, columns, h, nu, r: original(columns, h, nu, 1e-6 * r)),
     ),
 }

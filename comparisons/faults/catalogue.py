@@ -37,7 +37,7 @@ def catalogue(log: Log) -> Iterator[Fault]:
         names |= _POSITIONS
     if log.measurements.labelled:
         names |= _LABELS
-    yield from (one for one in NAMED if one.name in names)
+    yield from (fault for fault in NAMED if fault.name in names)
     yield Fault("measurements of landmarks in the map are used twice in one update",
                 noise.new_landmarks(0.5, 1.0))  # fmt: skip
     sigmas = _of_sigmas(log.prior.covariance)
@@ -51,7 +51,9 @@ def catalogue(log: Log) -> Iterator[Fault]:
 
 
 def _without_stabilisation(log: Log) -> Fault:
-    (bare,) = (one for one in stream_faults(log) if one.what == f"{STABILISATION} is left out")
+    (bare,) = (
+        fault for fault in stream_faults(log) if fault.what == f"{STABILISATION} is left out"
+    )
     return bare
 
 
@@ -84,7 +86,7 @@ def own_start(log: Log, covariance: Array) -> Fault:
     """The fault of a filter whose first pose has a covariance (3, 3) of its own."""
     prior = log.prior.covariance
     ratio = np.diag(covariance) / np.diag(prior)
-    named = ", ".join(f"{one:.3g}" for one in ratio)
+    named = ", ".join(f"{share:.3g}" for share in ratio)
     if np.ptp(ratio) <= 1e-6 * ratio.max():
         named = f"{ratio[0]:.3g}"
     what = f"the prior's covariance is {named} times the log's"

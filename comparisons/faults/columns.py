@@ -110,11 +110,11 @@ def read_measurements() -> list[LogColumn]:
 
 
 def _with_all(columns: list[LogColumn], the: str) -> list[LogColumn]:
-    singles, stream = [one for one in columns if len(one.entries) == 1], columns[0].stream
+    singles, stream = [column for column in columns if len(column.entries) == 1], columns[0].stream
 
     def write(log: Log, values: Array) -> Log:
-        for one in singles:
-            log = one.write(log, values[:, one.entries[0]])
+        for column in singles:
+            log = column.write(log, values[:, column.entries[0]])
         return log
 
     entries = tuple(range(len(singles)))
@@ -126,8 +126,8 @@ def measured_columns() -> list[LogColumn]:
     """Return range and bearing."""
 
     def ranges(log: Log, values: Array) -> Log:
-        seen = replace(log.measurements, range_m=np.maximum(values, 1e-3))
-        return replace(log, measurements=seen)
+        measurements = replace(log.measurements, range_m=np.maximum(values, 1e-3))
+        return replace(log, measurements=measurements)
 
     def bearings(log: Log, values: Array) -> Log:
         wrapped = np.angle(np.exp(1j * values))

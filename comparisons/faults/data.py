@@ -24,31 +24,31 @@ def previous_interval() -> Plant:
     """A step lasts as long as the one before it."""
     last_s: list[float] = []
 
-    def step(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
-        moved: MotionStep = own(pose, control, last_s[0] if last_s else duration_s)
+    def step(original: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        moved: MotionStep = original(pose, control, last_s[0] if last_s else duration_s)
         last_s[:] = [duration_s]
         return moved
 
     return moving(step)
 
 
-def applied_twice(own: Any, pose: Array, *args: Any) -> MotionStep:
+def applied_twice(original: Any, pose: Array, *args: Any) -> MotionStep:
     """A control moves the vehicle two times."""
-    one: MotionStep = own(pose, *args)
-    two: MotionStep = own(one.pose, *args)
-    by_control = two.jacobian_pose @ one.jacobian_control + two.jacobian_control
-    return MotionStep(two.pose, two.jacobian_pose @ one.jacobian_pose, by_control)
+    step: MotionStep = original(pose, *args)
+    two: MotionStep = original(step.pose, *args)
+    by_control = two.jacobian_pose @ step.jacobian_control + two.jacobian_control
+    return MotionStep(two.pose, two.jacobian_pose @ step.jacobian_pose, by_control)
 
 
 def scans_late(count: int) -> Plant:
     """Each scan is fused so many scans later, at the time of that one."""
     waiting: list[tuple[Any, ...]] = []
 
-    def observe(own: Any, *seen: Any) -> Index:
-        waiting.append(seen)
+    def observe(original: Any, *measured: Any) -> Index:
+        waiting.append(measured)
         if len(waiting) > count:
-            own(*waiting.pop(0))
-        return np.full(len(seen[0]), REJECTED)
+            original(*waiting.pop(0))
+        return np.full(len(measured[0]), REJECTED)
 
     return stepping(observe=observe)
 
@@ -57,35 +57,35 @@ def predictions_late(count: int) -> Plant:
     """Each scan is fused after so many more predictions."""
     waiting: list[tuple[int, Any, tuple[Any, ...]]] = []
 
-    def observe(own: Any, *seen: Any) -> Index:
-        waiting.append((count, own, seen))
-        return np.full(len(seen[0]), REJECTED)
+    def observe(original: Any, *measured: Any) -> Index:
+        waiting.append((count, original, measured))
+        return np.full(len(measured[0]), REJECTED)
 
-    def predict(own: Any, *args: Any) -> None:
-        own(*args)
-        due = [(left - 1, observed, seen) for left, observed, seen in waiting]
+    def predict(original: Any, *args: Any) -> None:
+        original(*args)
+        due = [(left - 1, observed, measured) for left, observed, measured in waiting]
         waiting[:] = [one for one in due if one[0] > 0]
-        for left, observed, seen in due:
+        for left, observed, measured in due:
             if left <= 0:
-                observed(*seen)
+                observed(*measured)
 
     return stepping(observe=observe, predict=predict)
 
 
-def _fixed_twice(own: Any, *args: Array) -> bool:
-    used = own(*args)
-    own.__self__.take_numbers("position", -1)
-    return bool(own(*args) and used)
+def _fixed_twice(original: Any, *args: Array) -> bool:
+    used = original(*args)
+    original.__self__.take_numbers("position", -1)
+    return bool(original(*args) and used)
 
 
 def seen_times(count: int) -> Plant:
     """Every scan is used so many times."""
 
-    def observe(own: Any, *seen: Any) -> Index:
-        landmark_indices: Index = own(*seen)
+    def observe(original: Any, *measured: Any) -> Index:
+        landmark_indices: Index = original(*measured)
         for _ in range(count - 1):
-            own.__self__.take_numbers(POINT.name, -len(landmark_indices))
-            own(*seen)
+            original.__self__.take_numbers(POINT.name, -len(landmark_indices))
+            original(*measured)
         return landmark_indices
 
     return stepping(observe=observe)
@@ -97,15 +97,17 @@ class _InitialisedAgain(KnownAssociation):
 
     last_seen_s: dict[int, float] = field(default_factory=dict)
 
-    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+    def assign(
+        self, state: KalmanState, model: MeasurementModel, measurements: Measurements
+    ) -> Index:
         """New landmark indices for labels unseen for 5 s."""
-        for label in seen.identity.tolist():
-            if seen.time_s - self.last_seen_s.get(label, seen.time_s) > 5.0:
+        for label in measurements.identity.tolist():
+            if measurements.time_s - self.last_seen_s.get(label, measurements.time_s) > 5.0:
                 self.index_of.pop(label, None)
-            self.last_seen_s[label] = seen.time_s
-        landmark_indices = seen.identity.astype(np.intp)
+            self.last_seen_s[label] = measurements.time_s
+        landmark_indices = measurements.identity.astype(np.intp)
         added = state.landmark_count
-        for i, label in enumerate(seen.identity.tolist()):
+        for i, label in enumerate(measurements.identity.tolist()):
             if label not in self.index_of:
                 self.index_of[label] = added
                 added += 1
@@ -119,13 +121,15 @@ class _SwappedLabels(KnownAssociation):
 
     scans: int = 0
 
-    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+    def assign(
+        self, state: KalmanState, model: MeasurementModel, measurements: Measurements
+    ) -> Index:
         """Exchange, where both landmarks are known."""
-        found = super().assign(state, model, seen)
+        assigned = super().assign(state, model, measurements)
         self.scans += 1
-        if self.scans % 10 == 0 and len(found) > 1 and found[:2].max() < state.landmark_count:
-            found[:2] = found[1::-1]
-        return found
+        if self.scans % 10 == 0 and len(assigned) > 1 and assigned[:2].max() < state.landmark_count:
+            assigned[:2] = assigned[1::-1]
+        return assigned
 
 
 def by_labels(rule: type[KnownAssociation], **settings: Any) -> Plant:
@@ -147,11 +151,11 @@ def waiting_for_control() -> Plant:
     """Nothing is predicted before the first control that moves."""
     moved: list[bool] = []
 
-    def predict(own: Any, control: Array, *args: Any) -> None:
+    def predict(original: Any, control: Array, *args: Any) -> None:
         if control.any():
             moved[:] = [True]
         if moved:
-            own(control, *args)
+            original(control, *args)
 
     return stepping(predict=predict)
 
@@ -162,14 +166,16 @@ FAULTS = {
     ),
     "interval ignored": Fault(
         "every step lasts 25 ms, whatever the stamps say",
-        moving(lambda own, pose, control, duration_s: own(pose, control, 0.025)),
+        moving(lambda original, pose, control, duration_s: original(pose, control, 0.025)),
     ),
     "control applied twice": Fault(
         "every control moves the vehicle two times", moving(applied_twice)
     ),
     "control applied half": Fault(
         "every control acts for half of its interval",
-        moving(lambda own, pose, control, duration_s: own(pose, control, 0.5 * duration_s)),
+        moving(
+            lambda original, pose, control, duration_s: original(pose, control, 0.5 * duration_s)
+        ),
     ),
     "measurement one scan late": Fault(
         "the measurements are fused one scan late, at the time of the next",

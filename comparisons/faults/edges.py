@@ -581,9 +581,9 @@ def _with_turned(edges: EdgeColumns, angle: Array) -> EdgeColumns:
 
 def _of_vehicle(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
     """Motions of the vehicle, from those of a frame on it."""
-    one = np.atleast_2d(frame)
-    z = composed(composed(one, edges.z), inverse(one))
-    return edges._replace(z=z, covariance=_carried(edges.covariance, one, carried))
+    frames = np.atleast_2d(frame)
+    z = composed(composed(frames, edges.z), inverse(frames))
+    return edges._replace(z=z, covariance=_carried(edges.covariance, frames, carried))
 
 
 def _without_before(_: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
@@ -591,9 +591,9 @@ def _without_before(_: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
 
 
 def _without_after(carried: bool, edges: EdgeColumns, frame: Array) -> EdgeColumns:
-    one = np.atleast_2d(frame)
-    z = composed(edges.z, inverse(one))
-    return edges._replace(z=z, covariance=_carried(edges.covariance, one, carried))
+    frames = np.atleast_2d(frame)
+    z = composed(edges.z, inverse(frames))
+    return edges._replace(z=z, covariance=_carried(edges.covariance, frames, carried))
 
 
 def _carried(covariance: Array, motion: Array, carried: bool) -> Array:

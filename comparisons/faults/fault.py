@@ -41,22 +41,22 @@ NONE = Fault("none")
 
 def together(*faults: Fault) -> Fault:
     """All of them at once, one after the other; of plants in the same part the last counts."""
-    some = [one for one in faults if one is not NONE]
+    some = [fault for fault in faults if fault is not NONE]
     if len(some) < 2:
         return some[0] if some else NONE
-    plants = [one.plant for one in some if one.plant is not None]
-    feeds = [one.feed for one in some if one.feed is not None]
+    plants = [fault.plant for fault in some if fault.plant is not None]
+    feeds = [fault.feed for fault in some if fault.feed is not None]
 
     def plant(ekf: Ekf) -> None:
-        for one in plants:
-            one(ekf)
+        for plant_in in plants:
+            plant_in(ekf)
 
     def feed(log: Log) -> Log:
-        for one in feeds:
-            log = one(log)
+        for feed_with in feeds:
+            log = feed_with(log)
         return log
 
-    what = ", and ".join(one.what for one in some)
+    what = ", and ".join(fault.what for fault in some)
     return Fault(what, plant if plants else None, feed if feeds else None)
 
 
@@ -176,9 +176,9 @@ class StateChange(NamedTuple):
 def after(method: str, change: Callable[..., None]) -> Plant:
     """Another covariance once a method of the state is done. It is called with a `StateChange`."""
 
-    def replaced(own: Any, *args: Any) -> Any:
-        state: KalmanState = own.__self__
-        before, result = state.covariance.copy(), own(*args)
+    def replaced(original: Any, *args: Any) -> Any:
+        state: KalmanState = original.__self__
+        before, result = state.covariance.copy(), original(*args)
         n = state.layout.size
         change(StateChange(state._covariance[:n, :n], before, state.layout), *args)
         return result

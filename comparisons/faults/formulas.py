@@ -143,10 +143,10 @@ def _marked(value: Array, mark: str) -> Array:
     return inverse(value) if mark == _INVERTED else value
 
 
-def alike(one: Array, recorded: Array) -> bool:
+def alike(matrix: Array, recorded: Array) -> bool:
     """Return whether a gain, a correction or another matrix is the recorded one."""
     near = _ALIKE * float(np.abs(recorded).max(initial=0.0))
-    return one.shape == recorded.shape and bool(np.all(np.abs(one - recorded) <= near))
+    return matrix.shape == recorded.shape and bool(np.all(np.abs(matrix - recorded) <= near))
 
 
 def inverse(matrix: Array) -> Array:
@@ -156,7 +156,7 @@ def inverse(matrix: Array) -> Array:
     except np.linalg.LinAlgError:
         if matrix.ndim == 2:
             return np.full_like(matrix, np.nan)
-        return np.stack([inverse(one) for one in matrix])
+        return np.stack([inverse(entry) for entry in matrix])
 
 
 def shape_of(formula: Formula, shapes: Shapes) -> tuple[int, ...] | None:
@@ -208,7 +208,9 @@ def _rewritten(original: Formula, shapes: Shapes) -> Iterator[Formula]:
             for staying in combinations(factors, max(len(factors) - left_out, 0)):
                 yield _with(original, i, factors=staying)
     for i in places:
-        yield from (_with(original, i, factors=one) for one in _marked_otherwise(original[i]))
+        yield from (
+            _with(original, i, factors=factors_of) for factors_of in _marked_otherwise(original[i])
+        )
     yield from (_with(original, i, sign=-original[i].sign) for i in places)
     for i in places:
         yield from (_with(original, i, factors=one) for one in _of_others(original[i], shapes))

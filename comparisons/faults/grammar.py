@@ -120,9 +120,9 @@ class Values:
         """Return those of some records."""
         return Values(
             sound=self.sound[rows],
-            factors={name: one[rows] for name, one in self.factors.items()},
+            factors={name: factor[rows] for name, factor in self.factors.items()},
             heading=None if self.heading is None else self.heading[rows],
-            elsewhere={words: one[rows] for words, one in self.elsewhere.items()},
+            elsewhere={words: values[rows] for words, values in self.elsewhere.items()},
         )
 
 
@@ -338,7 +338,7 @@ def _inverted(covariance: Array) -> Array:
 def _cholesky(covariance: Array) -> Array:
     """Factors L (N, r, r), NaN where a covariance has none."""
     symmetric = 0.5 * (covariance + covariance.mT)
-    return np.stack([_factor(one) for one in symmetric]) if len(symmetric) else symmetric
+    return np.stack([_factor(matrix) for matrix in symmetric]) if len(symmetric) else symmetric
 
 
 def _factor(covariance: Array) -> Array:

@@ -91,15 +91,21 @@ def misreadings(columns: Sequence[LogColumn], lags: Sequence[int]) -> list[Misre
         columns: Of one stream, as `read_columns` gives them.
         lags: Numbers of rows by which values may come late, or early where negative.
     """
-    changes = [(one, change) for one in columns for change in _of_rows(one, lags)]
-    changes += [(one, change) for one in (*columns[1:], columns[0]) for change in _of_values(one)]
+    changes = [(column, change) for column in columns for change in _of_rows(column, lags)]
+    changes += [
+        (column, change) for column in (*columns[1:], columns[0]) for change in _of_values(column)
+    ]
     changes += [(columns[0], change) for change in _exchanges(columns)]
-    return sorted((Misreading((one,)) for one in changes), key=lambda one: len(one.start))
+    return sorted(
+        (Misreading((misreading,)) for misreading in changes), key=lambda change: len(change.start)
+    )
 
 
 def joined_misreadings(columns: Sequence[LogColumn]) -> list[Misreading]:
     """Return two of the factors and offsets of a stream's columns at once."""
-    lines = [(one, change) for one in columns for change in _of_values(one) if change.is_line]
+    lines = [
+        (column, change) for column in columns for change in _of_values(column) if change.is_line
+    ]
     return [Misreading(pair) for pair in combinations(lines, 2)]
 
 
@@ -135,7 +141,7 @@ def _of_values(column: LogColumn) -> Iterator[ValueChange]:
 
 def _exchanges(columns: Sequence[LogColumn]) -> Iterator[ValueChange]:
     """Which two may be in each other's place, of all values of the stream."""
-    singles = [one for one in columns if len(one.entries) == 1]
+    singles = [column for column in columns if len(column.entries) == 1]
     for first, second in combinations(singles, 2):
         order = np.arange(len(singles))
         pair = [*first.entries, *second.entries]

@@ -22,13 +22,13 @@ _BEARING_ROW, _HEADING_COLUMN = np.s_[:, 1], np.s_[:, :, 2]
 def h_times(factor: float, *, pose: Any = None, landmark: Any = None) -> Plant:
     """Some entries of H times a factor, by the pose (m, 2, 3) and by the landmark (m, 2, 2)."""
 
-    def predict(own: Any, *args: Array) -> PredictedMeasurements:
-        found: PredictedMeasurements = own(*args)
+    def predict(original: Any, *args: Array) -> PredictedMeasurements:
+        measurements: PredictedMeasurements = original(*args)
         if pose is not None:
-            found.jacobian_pose[pose] *= factor
+            measurements.jacobian_pose[pose] *= factor
         if landmark is not None:
-            found.jacobian_landmark[landmark] *= factor
-        return found
+            measurements.jacobian_landmark[landmark] *= factor
+        return measurements
 
     return observing(predict=predict)
 
@@ -36,36 +36,36 @@ def h_times(factor: float, *, pose: Any = None, landmark: Any = None) -> Plant:
 def gx_times(factor: float) -> Plant:
     """The heading's column of G_x times a factor."""
 
-    def invert(own: Any, *args: Array) -> NewLandmarks:
-        found: NewLandmarks = own(*args)
-        found.jacobian_pose[_HEADING_COLUMN] *= factor
-        return found
+    def invert(original: Any, *args: Array) -> NewLandmarks:
+        landmarks: NewLandmarks = original(*args)
+        landmarks.jacobian_pose[_HEADING_COLUMN] *= factor
+        return landmarks
 
     return observing(invert=invert)
 
 
-def _unrotated(own: Any, *args: Array) -> NewLandmarks:
-    new: NewLandmarks = own(*args)
+def _unrotated(original: Any, *args: Array) -> NewLandmarks:
+    new: NewLandmarks = original(*args)
     return new._replace(jacobian_z=np.broadcast_to(np.eye(2), new.jacobian_z.shape))
 
 
-def _clockwise(own: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
-    z, noise = own(z, sigma)
+def _clockwise(original: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
+    z, noise = original(z, sigma)
     return z * (1.0, -1.0), noise
 
 
-def wrong_quadrant(own: Any, pose: Array, z: Array) -> NewLandmarks:
+def wrong_quadrant(original: Any, pose: Array, z: Array) -> NewLandmarks:
     """New landmarks by atan of the direction where atan2 belongs. own: makes them of a pose."""
     turned = np.arctan(np.tan(pose[2] + z[:, 1])) - pose[2]
-    new: NewLandmarks = own(pose, np.column_stack((z[:, 0], turned)))
+    new: NewLandmarks = original(pose, np.column_stack((z[:, 0], turned)))
     return new
 
 
 def _stale_jacobian() -> Plant:
     last: list[Array] = []
 
-    def predict(own: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        now, then = own(pose, landmarks), own(last[0] if last else pose, landmarks)
+    def predict(original: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        now, then = original(pose, landmarks), original(last[0] if last else pose, landmarks)
         last[:] = [np.array(pose)]
         return PredictedMeasurements(now.z, then.jacobian_pose, then.jacobian_landmark)
 
@@ -75,42 +75,42 @@ def _stale_jacobian() -> Plant:
 def _from_old_pose() -> Plant:
     last: list[Array] = []
 
-    def predict(own: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
+    def predict(original: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
         last[:] = [np.array(pose)]
-        found: PredictedMeasurements = own(pose, landmarks)
-        return found
+        measurements: PredictedMeasurements = original(pose, landmarks)
+        return measurements
 
-    def invert(own: Any, pose: Array, z: Array) -> NewLandmarks:
-        new: NewLandmarks = own(last[0] if last else pose, z)
+    def invert(original: Any, pose: Array, z: Array) -> NewLandmarks:
+        new: NewLandmarks = original(last[0] if last else pose, z)
         return new
 
     return observing(predict=predict, invert=invert)
 
 
-def _steering_sign(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
-    step: MotionStep = own(pose, control * (1.0, -1.0), duration_s)
+def _steering_sign(original: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    step: MotionStep = original(pose, control * (1.0, -1.0), duration_s)
     return step._replace(jacobian_control=step.jacobian_control * (1.0, -1.0))
 
 
-def _without_interval(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
-    step: MotionStep = own(pose, control, duration_s)
+def _without_interval(original: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    step: MotionStep = original(pose, control, duration_s)
     return step._replace(jacobian_control=step.jacobian_control / duration_s)
 
 
-def noise_by_interval(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+def noise_by_interval(original: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
     """The sigmas of speed and turn as densities, of white noise over the interval."""
-    step: MotionStep = own(pose, control, duration_s)
+    step: MotionStep = original(pose, control, duration_s)
     return step._replace(jacobian_control=step.jacobian_control / np.sqrt(duration_s))
 
 
-def _drift(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
-    step: MotionStep = own(pose, control, duration_s)
+def _drift(original: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    step: MotionStep = original(pose, control, duration_s)
     step.pose[2] += _DRIFT_RADPS * duration_s
     return step
 
 
-def _opposite_column(own: Any, *args: Any) -> MotionStep:
-    step: MotionStep = own(*args)
+def _opposite_column(original: Any, *args: Any) -> MotionStep:
+    step: MotionStep = original(*args)
     step.jacobian_pose[:2, 2] *= -1.0
     return step
 
@@ -147,7 +147,7 @@ FAULTS = {
     ),
     "innovation not wrapped": Fault(
         "the innovation z - h(x) is not wrapped at the cut of the bearing",
-        observing(innovation=lambda own, z, predicted: z - predicted),
+        observing(innovation=lambda original, z, predicted: z - predicted),
     ),
     "bearing clockwise": Fault(
         "the bearings are counted clockwise, positive to the right", observing(measured=_clockwise)
@@ -175,7 +175,7 @@ FAULTS = {
     ),
     "F the identity": Fault(
         "P is predicted without the motion's Jacobian",
-        moving(lambda own, *args: own(*args)._replace(jacobian_pose=np.eye(3))),
+        moving(lambda original, *args: original(*args)._replace(jacobian_pose=np.eye(3))),
     ),
     "B without dt": Fault(
         "the Jacobian by the control is not multiplied by the interval", moving(_without_interval)

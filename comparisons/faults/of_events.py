@@ -395,7 +395,7 @@ class EventFaults:
         for use in every if len(every) > 1 else ():
             if frozenset({use}) not in different:
                 text = written(recipe[use.result])
-                order = [one for one in every if one.result == use.result].index(use)
+                order = [other for other in every if other.result == use.result].index(use)
                 place = ("first", "second", "third")[min(order, 2)]
                 yield f", at its {place} place in {text} alone", frozenset({use})
 
@@ -441,10 +441,10 @@ class EventFaults:
             scopes = list(self.scopes(recipe, name))
         if not self._differs(base, name, everywhere=everywhere, whole=whole):
             return
-        changes = [one for one in self._single(name, values) if is_whole(one) == whole]
+        changes = [change for change in self._single(name, values) if is_whole(change) == whole]
         if level == _PARTS_OF_SOME and base.form:
             scopes = [scope for scope in scopes if scope[0].startswith(_ALL_OF_A_RESULT)]
-            changes = [one for one in changes if one.mask is not None]
+            changes = [change for change in changes if change.mask is not None]
         for composition in changes:
             for words, places in scopes:
                 substitution = base._replace(operand=name, places=places, composition=composition)
@@ -487,7 +487,9 @@ class EventFaults:
             changes = singles_of(self.operand(name, values), self._like(name, values)).values()
             # A part of P that the event before has not changed is what that event has left.
             left = name == "P"
-            self._changes[name] = [one for one in changes if not (left and _is_stale_part(one))]
+            self._changes[name] = [
+                change for change in changes if not (left and _is_stale_part(change))
+            ]
         return self._changes[name]
 
     def _of_result(self, level: int | None) -> Iterator[EventFault]:
@@ -495,12 +497,12 @@ class EventFaults:
         for substitution, name, composition in self._results(numbered=False):
             mask = composition.mask
             even = mask is None or mask.shape[0] != mask.shape[1] or bool((mask == mask.T).all())
-            own = _LEFT if even else _ONE_SIDE
-            if level not in (None, own):
+            side = _LEFT if even else _ONE_SIDE
+            if level not in (None, side):
                 continue
             if name == AFTER and self._touches_right_blocks(composition):
                 continue
-            blocks, tier = partial(self._blocks, composition), len(FORMS) * own
+            blocks, tier = partial(self._blocks, composition), len(FORMS) * side
             yield EventFault(composition.words, blocks, substitution, tier)
 
     def _results(self, *, numbered: bool) -> Iterator[tuple[Substitution, str, Composition]]:
@@ -692,10 +694,10 @@ def _changes(
 ) -> list[OperandChange]:
     """What some errors change, with their numbers."""
     return [
-        own._replace(numbers=numbers[k])
+        change._replace(numbers=numbers[k])
         for k in members
         if (substitution := faults[k].substitution) is not None
-        for own in substitution.own_changes()
+        for change in substitution.own_changes()
     ]
 
 

@@ -207,7 +207,9 @@ def _exchanged(first: LogColumn, second: LogColumn) -> Iterator[LogCorrection]:
     pair = pair_words(first, second)
     same_unit = first.unit == second.unit
     for signs in product((1.0, -1.0), repeat=2) if same_unit else [(1.0, 1.0)]:
-        negative = [one.short for one, sign in zip((first, second), signs, strict=True) if sign < 0]
+        negative = [
+            column.short for column, sign in zip((first, second), signs, strict=True) if sign < 0
+        ]
         also = f", and of {' and '.join(negative)} the sign" if negative else ""
 
         def correct(log: Log, signs: tuple[float, ...] = signs) -> Log:
@@ -225,12 +227,12 @@ def _exchanged(first: LogColumn, second: LogColumn) -> Iterator[LogCorrection]:
 
 def _of_pairs(columns: list[LogColumn]) -> Iterator[LogCorrection]:
     """One unit of columns in two streams, or of both controls: angles are degrees, times ms."""
-    angles = [one for one in columns if one.is_angle]
+    angles = [column for column in columns if column.is_angle]
     degree = np.pi / 180.0
     if len(angles) == 2:
         first, second = angles
-        units = [next(iter(UNITS[one.unit])).replace("rad", "deg") for one in angles]
-        options = [f"--unit {one.name}={u}" for one, u in zip(angles, units, strict=True)]
+        units = [next(iter(UNITS[angle.unit])).replace("rad", "deg") for angle in angles]
+        options = [f"--unit {column.name}={u}" for column, u in zip(angles, units, strict=True)]
         for factor, what, mend in (
             (degree, "degrees", " ".join(options)),
             (1.0 / degree, "radians", " ".join(options).replace("deg", "rad")),
@@ -240,7 +242,7 @@ def _of_pairs(columns: list[LogColumn]) -> Iterator[LogCorrection]:
                 lambda what=what: f"{first.short} and {second.short} are {what}",
                 lambda log, k=factor: _times(_times(log, first, k), second, k), f"give {mend}",
             )  # fmt: skip
-    rates = [one for one in columns if one.unit in ("mps", "radps")]
+    rates = [column for column in columns if column.unit in ("mps", "radps")]
     if rates:
         yield LogCorrection(
             "time of odometry", "milliseconds", lambda: "times are milliseconds",
@@ -269,7 +271,7 @@ def _of_clocks(log: Log) -> Iterator[LogCorrection]:
     grid = tuple(step_s * k for k in range(-5, 6)) if poses else _DELAYS_S
     streams = ["measurements"] if len(log.measurements.time_s) else []
     streams += ["positions"] if log.positions is not None else []
-    groups = [(one,) for one in streams] + ([tuple(streams)] if len(streams) > 1 else [])
+    groups = [(stream,) for stream in streams] + ([tuple(streams)] if len(streams) > 1 else [])
     for group in groups:
         name = group[0] if len(group) == 1 else "odometry"
         sign = 1.0 if len(group) == 1 else -1.0
@@ -290,7 +292,7 @@ def _of_clocks(log: Log) -> Iterator[LogCorrection]:
     for column in odometry_columns(log) if len(log.odometry.time_s) else ():
         if column.name in ("x", "y") or (poses and column.name == "heading"):
             continue
-        lags = sorted({*_LAGS, *(-one for one in _LAGS), 0})
+        lags = sorted({*_LAGS, *(-lag for lag in _LAGS), 0})
         yield LogCorrection(
             f"odometry: {column.name}", "lag",
             partial(_lag_words, column.words, step_s),
@@ -410,9 +412,11 @@ def _of_vehicle() -> Iterator[LogCorrection]:
 
 def _from_the_pose(log: Log, ahead_m: float, left_m: float) -> Log:
     """Measurements of a sensor that is not at the pose, as from the pose."""
-    seen = log.measurements
-    place = seen.range_m * np.exp(1j * seen.bearing_rad) + complex(ahead_m, left_m)
-    changed = replace(seen, range_m=np.maximum(abs(place), 1e-3), bearing_rad=np.angle(place))
+    measurements = log.measurements
+    place = measurements.range_m * np.exp(1j * measurements.bearing_rad) + complex(ahead_m, left_m)
+    changed = replace(
+        measurements, range_m=np.maximum(abs(place), 1e-3), bearing_rad=np.angle(place)
+    )
     return replace(log, measurements=changed)
 
 
@@ -606,11 +610,11 @@ class LogSigma(NamedTuple):
 
 def sigmas_of(log: Log) -> Iterator[LogSigma]:
     """Yield the stated sigmas of a log."""
-    seen, moved = log.measurements, log.odometry
-    if len(seen.time_s):
+    measurements, moved = log.measurements, log.odometry
+    if len(measurements.time_s):
         for name, field in (("range", "sigma_range_m"), ("bearing", "sigma_bearing_rad")):
             yield LogSigma(
-                name, f"{name}s", name, f"--sigma-{name}", getattr(seen, field),
+                name, f"{name}s", name, f"--sigma-{name}", getattr(measurements, field),
                 partial(_scaled_measurements, field=field), name == "bearing",
             )  # fmt: skip
     if log.positions is not None and len(log.positions.time_s):
@@ -675,10 +679,10 @@ def sigma_corrections(log: Log) -> Iterator[LogCorrection]:
     for sigma in sigmas:
         yield _times_sigmas(sigma.name, (sigma,), tuple(_named_factors(sigma)))
     for stream, components in (("measurements", ("range", "bearing")), ("odometry", ("odometry",))):
-        together = tuple(one for one in sigmas if one.component in components)
+        together = tuple(log_sigma for log_sigma in sigmas if log_sigma.component in components)
         if len(together) > 1:
             yield _times_sigmas(stream, together, ())
-    rooted = [one for one in sigmas if one.may_be_variance]
+    rooted = [log_sigma for log_sigma in sigmas if log_sigma.may_be_variance]
     for count in range(1, len(rooted) + 1):
         for some in combinations(rooted, count):
             if count > 1 or not some[0].is_constant:
@@ -689,14 +693,14 @@ def _times_sigmas(
     name: str, sigmas: tuple[LogSigma, ...], names: tuple[NamedNumber, ...]
 ) -> LogCorrection:
     def correct(log: Log, factor: float) -> Log:
-        for one in sigmas:
-            log = one.scaled(log, np.array(factor))
+        for sigma in sigmas:
+            log = sigma.scaled(log, np.array(factor))
         return log
 
     return LogCorrection(
         f"noise of the {name}", "times",
         lambda k: f"a noise of the {name} {k:.3g} times the stated", correct,
-        f"correct {' and '.join(one.option for one in sigmas)}", (1.0,), names=names,
+        f"correct {' and '.join(sigma.option for sigma in sigmas)}", (1.0,), names=names,
         sensors=_components(sigmas),
     )  # fmt: skip
 
@@ -718,20 +722,20 @@ def _named_factors(sigma: LogSigma) -> Iterator[NamedNumber]:
 
 
 def _rooted(sigmas: tuple[LogSigma, ...]) -> LogCorrection:
-    plurals = [one.plural for one in sigmas]
+    plurals = [sigma.plural for sigma in sigmas]
     what = f"the sigmas of {', '.join(plurals[:-1])} and {plurals[-1]} are variances"
     if len(sigmas) == 1:
         what = f"the sigmas of {plurals[0]}, {sigmas[0].value:.4g} in the middle, are variances"
-    options = " ".join(f"{one.option} {np.sqrt(one.value):.4g}" for one in sigmas)
-    constant = all(one.is_constant for one in sigmas)
+    options = " ".join(f"{sigma.option} {np.sqrt(sigma.value):.4g}" for sigma in sigmas)
+    constant = all(sigma.is_constant for sigma in sigmas)
     mend = f"give {options}" if constant else "give their square roots"
 
-    names = [one.name for one in sigmas]
+    names = [sigma.name for sigma in sigmas]
 
     def correct(log: Log) -> Log:
-        for one in sigmas_of(log):
-            if one.name in names:
-                log = one.scaled(log, one.values**-0.5)
+        for sigma in sigmas_of(log):
+            if sigma.name in names:
+                log = sigma.scaled(log, sigma.values**-0.5)
         return log
 
     return LogCorrection(
@@ -742,4 +746,4 @@ def _rooted(sigmas: tuple[LogSigma, ...]) -> LogCorrection:
 
 
 def _components(sigmas: tuple[LogSigma, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(one.component for one in sigmas))
+    return tuple(dict.fromkeys(sigma.component for sigma in sigmas))

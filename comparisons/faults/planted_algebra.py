@@ -114,8 +114,8 @@ def between_landmarks(entries: Entries) -> NDArray[np.bool_]:
 
 
 def _pairs(rows: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    one: NDArray[np.bool_] = rows[:, None] & columns
-    return one | one.T
+    entries: NDArray[np.bool_] = rows[:, None] & columns
+    return entries | entries.T
 
 
 COVARIANCE_PARTS: Mapping[str, Part] = {
@@ -376,10 +376,10 @@ def algebra_planted(change: AlgebraChange) -> Plant:
         for key in (_PREDICTION, _UPDATE, _NEW)
     }
     if change.symmetrised:
-        events = {key: replace(one, symmetrised=True) for key, one in events.items()}
+        events = {key: replace(change, symmetrised=True) for key, change in events.items()}
 
-    def predict(own: Any, pose: Array, jacobian_pose: Array, noise: Array) -> None:
-        state: KalmanState = own.__self__
+    def predict(original: Any, pose: Array, jacobian_pose: Array, noise: Array) -> None:
+        state: KalmanState = original.__self__
         p = state.covariance.copy()
         f, q, v = np.eye(len(p)), np.zeros_like(p), len(pose)
         f[:v, :v], q[:v, :v] = jacobian_pose, noise
@@ -389,11 +389,11 @@ def algebra_planted(change: AlgebraChange) -> Plant:
         state._covariance[: len(p), : len(p)] = values[AFTER]
 
     def update(
-        own: Any, columns: Index, jacobian: Array, innovation: Array, noise: Array
+        original: Any, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        state: KalmanState = own.__self__
+        state: KalmanState = original.__self__
         p, mean = state.covariance.copy(), state.mean.copy()
-        done: Correction = own(columns, jacobian, innovation, noise)
+        done: Correction = original(columns, jacobian, innovation, noise)
         h = np.zeros((len(jacobian), len(p)))
         np.add.at(h.T, columns, jacobian.T)
         given = {"P": p, "H": h, "R": noise, "v": innovation[:, None], "I": np.eye(len(p))}
@@ -404,10 +404,10 @@ def algebra_planted(change: AlgebraChange) -> Plant:
         state._covariance[: len(p), : len(p)] = values[AFTER]
         return done
 
-    def augment(own: Any, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
-        state: KalmanState = own.__self__
+    def augment(original: Any, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
+        state: KalmanState = original.__self__
         p, entries = state.covariance.copy(), Entries.of(state.layout)
-        own(new, noise, kind)
+        original(new, noise, kind)
         n, v = len(p), state.layout.pose_size
         g_x = np.zeros((new.landmark.size, n))
         g_x[:, :v] = new.jacobian_pose.reshape(-1, v)

@@ -80,7 +80,7 @@ Changed = Callable[[Values], Array]
 
 def has(slot: Slot) -> Values:
     """Return values of one record with all that faults of a slot may read."""
-    one = np.ones((1, *slot.shape))
+    factor = np.ones((1, *slot.shape))
     factors = {
         **dict.fromkeys((*STEPS, Q, VELOCITY), (INTERVAL,)),
         F: (INTERVAL, TURN_PER_METRE),
@@ -99,10 +99,10 @@ def has(slot: Slot) -> Values:
     }
     turning = slot in (B, B_OF_DISPLACEMENT, Q, VELOCITY, PLACE, POSITION)
     return Values(
-        sound=one,
-        factors=dict.fromkeys(factors.get(slot, ()), one[:, 0, 0]),
-        heading=one[:, 0, 0] if turning else None,
-        elsewhere=dict.fromkeys(elsewhere.get(slot, ()), one),
+        sound=factor,
+        factors=dict.fromkeys(factors.get(slot, ()), factor[:, 0, 0]),
+        heading=factor[:, 0, 0] if turning else None,
+        elsewhere=dict.fromkeys(elsewhere.get(slot, ()), factor),
     )
 
 
@@ -169,17 +169,17 @@ def _sound_steps(log: Log) -> dict[Slot, Values]:
         ]
 
     steps, after = steps_from(pose), steps_from(pose + (0.0, 0.0, 0.4))
-    own, there = (np.array([one.jacobian_pose for one in each]) for each in (steps, after))
-    by_control = np.array([one.jacobian_control for one in steps])
+    here, there = (np.array([step.jacobian_pose for step in each]) for each in (steps, after))
+    by_control = np.array([step.jacobian_control for step in steps])
     control_noise = timeline.control_covariance[some]
     noise = by_control @ control_noise @ by_control.mT + 1e-6 * np.eye(3)
-    factors, before = {INTERVAL: duration_s}, np.roll(own, 1, axis=0)
+    factors, before = {INTERVAL: duration_s}, np.roll(here, 1, axis=0)
     velocity, on_arrival = (
-        (np.array([one.pose for one in each]) - at)[:, :, None] / duration_s[:, None, None]
+        (np.array([step.pose for step in each]) - at)[:, :, None] / duration_s[:, None, None]
         for each, at in ((steps, pose), (after, pose + (0.0, 0.0, 0.4)))
     )
-    moved = [one.pose - at for one, at in zip(steps, pose, strict=True)]
-    turning = {TURN_PER_METRE: np.array([_turn_per_metre(one) for one in moved])}
+    moved = [step.pose - at for step, at in zip(steps, pose, strict=True)]
+    turning = {TURN_PER_METRE: np.array([_turn_per_metre(step) for step in moved])}
     return {
         VELOCITY: Values(
             sound=velocity,
@@ -191,7 +191,7 @@ def _sound_steps(log: Log) -> dict[Slot, Values]:
                 DEAD_RECKONED: 0.5 * (velocity + on_arrival),
             },
         ),
-        F: Values(sound=own, factors=factors | turning, elsewhere={AFTER: there, BEFORE: before}),
+        F: Values(sound=here, factors=factors | turning, elsewhere={AFTER: there, BEFORE: before}),
         (B if by_control.shape[2] == 2 else B_OF_DISPLACEMENT): Values(
             sound=by_control, factors=factors, heading=pose[:, 2]
         ),
@@ -216,7 +216,7 @@ def _sound_measurements() -> dict[Slot, Values]:
     pose, old = rng.uniform(0.3, 1.2, (2, 3))
     z = np.column_stack((rng.uniform(2.0, 20.0, _SAMPLES), rng.uniform(-1.0, 1.0, _SAMPLES)))
     new, new_of_old = model.invert(pose, z), model.invert(old, z)
-    seen, seen_of_old = (model.predict(at, new.landmark) for at in (pose, old))
+    measurements, seen_of_old = (model.predict(at, new.landmark) for at in (pose, old))
     noise = np.array((0.04, 0.01)) * np.eye(2) * rng.uniform(1.0, 2.0, (_SAMPLES, 1, 1))
     innovation = rng.standard_normal((_SAMPLES, 2, 1))
     turns = 2.0 * np.pi * rng.integers(-1, 2, (2, _SAMPLES))
@@ -233,14 +233,14 @@ def _sound_measurements() -> dict[Slot, Values]:
         return other
 
     return {
-        H: of(_joint(seen), _joint(seen_of_old)),
+        H: of(_joint(measurements), _joint(seen_of_old)),
         R: of(noise),
         EXPECTED: Values(
-            sound=seen.z[:, :, None],
+            sound=measurements.z[:, :, None],
             factors=factors,
             elsewhere={
                 AT_OLD: seen_of_old.z[:, :, None],
-                QUADRANT: turned(seen.z[:, :, None], 0.5 * turns[0]),
+                QUADRANT: turned(measurements.z[:, :, None], 0.5 * turns[0]),
             },
         ),
         INNOVATION: Values(

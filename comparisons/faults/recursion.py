@@ -202,6 +202,6 @@ def _values(name: str, sound: Array, event: Event, replay: Remembering) -> Value
             factors["the interval"] = np.array([interval])
     return Values(
         sound=sound[None],
-        elsewhere={words: one[None] for words, one in elsewhere.items()},
+        elsewhere={words: matrix[None] for words, matrix in elsewhere.items()},
         factors=factors,
     )

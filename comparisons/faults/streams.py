@@ -95,7 +95,7 @@ def stream_faults(log: Log) -> Iterator[Fault]:
             yield Fault(f"{noise.name} {what}", feed=partial(_with_noise, noise, altered))
     for first, second in _exchanged(log):
         feed = partial(_noise_exchanged, first.fields[0], second.fields[0])
-        names = " and ".join(one.name for one in (first, second))
+        names = " and ".join(noise.name for noise in (first, second))
         yield Fault(f"the sigmas of {names} are exchanged", feed=feed)
     if log.positions is not None:
         yield Fault("the antenna's place is left out", feed=partial(_antenna_at, 0.0, (0.0, 0.0)))
@@ -333,14 +333,19 @@ def _moved(time_s: Array, stops: Array, lag: int) -> Array:
 
 def _at_other_stops(lag: int, log: Log) -> Log:
     """Measurements at another sample; the first stay at the start, the last at the end."""
-    seen = log.measurements
-    return replace(log, measurements=replace(seen, time_s=_moved(seen.time_s, _stops(log), lag)))
+    measurements = log.measurements
+    return replace(
+        log,
+        measurements=replace(measurements, time_s=_moved(measurements.time_s, _stops(log), lag)),
+    )
 
 
 def _at_other_scans(lag: int, log: Log) -> Log:
-    seen = log.measurements
-    scans = np.unique(seen.time_s)
-    return replace(log, measurements=replace(seen, time_s=_moved(seen.time_s, scans, lag)))
+    measurements = log.measurements
+    scans = np.unique(measurements.time_s)
+    return replace(
+        log, measurements=replace(measurements, time_s=_moved(measurements.time_s, scans, lag))
+    )
 
 
 def _positions_at_other_stops(lag: int, log: Log) -> Log:
@@ -375,8 +380,8 @@ _ORDINALS = {1: "first", 2: "second", 3: "third"}
 
 
 def _without(every: int, phase: int, of_scans: bool, log: Log) -> Log:
-    seen: LandmarkMeasurements = log.measurements
-    number: NDArray[np.intp] = np.arange(len(seen.time_s))
+    measurements: LandmarkMeasurements = log.measurements
+    number: NDArray[np.intp] = np.arange(len(measurements.time_s))
     if of_scans:
-        number = np.unique(seen.time_s, return_inverse=True)[1]
-    return replace(log, measurements=seen.chosen(number % every != phase))
+        number = np.unique(measurements.time_s, return_inverse=True)[1]
+    return replace(log, measurements=measurements.chosen(number % every != phase))

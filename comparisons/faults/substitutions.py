@@ -88,18 +88,20 @@ class Substitution(NamedTuple):
     ) -> Array:
         """What stands in the places."""
         if self.other is not None:
-            others = {name: one for name, one in values.items() if name != self.operand}
+            others = {name: value for name, value in values.items() if name != self.operand}
             return evaluated({self.operand: self.other}, others)[self.operand]
         raw = recorded(event).get(self.operand)
         sound = values[self.operand] if raw is None else raw
         given = self._given(replay, event, sound, values["P"], len(changes))
         shape = sound.shape[-2:]
         if any(composition.slot.shape != shape for composition, _ in changes):
-            changes = [_of_another(one, self.operand, given[0], event, replay) for one in changes]
+            changes = [
+                _of_another(change, self.operand, given[0], event, replay) for change in changes
+            ]
         made = np.concatenate(
             [
-                composition.values(one, *numbers)
-                for one, (composition, numbers) in zip(given, changes, strict=True)
+                composition.values(event_values, *numbers)
+                for event_values, (composition, numbers) in zip(given, changes, strict=True)
             ]
         )
         return made if raw is None else whole(self.operand, made, event, replay)
@@ -112,10 +114,10 @@ class Substitution(NamedTuple):
             return [replay.values(self.operand, sound, event)] * count
         like = replay.values(self.operand, sound[0], event)
         if self.operand != AFTER:
-            return [replace(like, sound=one[None]) for one in sound]
+            return [replace(like, sound=matrix[None]) for matrix in sound]
         return [
-            replace(like, sound=one[None], elsewhere={**like.elsewhere, AS_BEFORE: p[None]})
-            for one, p in zip(sound, _stacked(before, count), strict=True)
+            replace(like, sound=matrix[None], elsewhere={**like.elsewhere, AS_BEFORE: p[None]})
+            for matrix, p in zip(sound, _stacked(before, count), strict=True)
         ]
 
     def change(self, event: Event, replay: Remembering) -> OperandChange:

@@ -81,17 +81,17 @@ def works_with_floats(
     tells.
     """
     placed = [_inside(given, prepared) for prepared in (exact, floats)]
-    if any(not len(one.time_s) for one in placed):
+    if any(not len(estimate.time_s) for estimate in placed):
         return None
     both = tuple(zip(placed, (exact, floats), strict=True))
-    far_exact, far_floats = (distance_by_steps(one, prepared) for one, prepared in both)
+    far_exact, far_floats = (distance_by_steps(estimate, prepared) for estimate, prepared in both)
     if far_exact is not None and far_floats is not None:
         least, most = sorted((far_exact, far_floats))
         if least < _NEARER * most:
             return far_floats < far_exact
     count = _FIRST
     while True:
-        equal = [_equal_poses(one, prepared, count) for one, prepared in both]
+        equal = [_equal_poses(estimate, prepared, count) for estimate, prepared in both]
         if min(equal) < count or count >= min(_MOST, len(placed[0].time_s)):
             return None if equal[0] == equal[1] else equal[1] > equal[0]
         count *= _GROWTH
@@ -104,7 +104,7 @@ def written_from_floats(given: ExternalEstimate) -> bool:
     """
     if given.time_ns is None:
         return True
-    by_float = [round(Decimal(one) * 10**9) for one in given.time_s.tolist()]
+    by_float = [round(Decimal(instant_s) * 10**9) for instant_s in given.time_s.tolist()]
     few_digits = given.time_ns % _LAST_DIGIT_NS == 0
     return bool((few_digits | (given.time_ns == np.array(by_float, dtype=np.int64))).all())
 

@@ -193,7 +193,7 @@ def remainders(
         pass
     except (InputError, np.linalg.LinAlgError):
         return []
-    bounded = [bool((np.abs(one) < _BOUND).all()) for one in first.left]
+    bounded = [bool((np.abs(difference) < _BOUND).all()) for difference in first.left]
     return first.left[: bounded.index(False)] if False in bounded else first.left
 
 

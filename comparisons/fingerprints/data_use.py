@@ -84,8 +84,10 @@ def without(log: Log, rows: Index, gate: float | None = None) -> Log:
 
 def labelled_as(log: Log, label: NDArray[np.int64], gate: float | None = None) -> Log:
     """Return a log with labels (M,) of its measurements; nobody uses those without."""
-    seen = log.measurements
-    columns = {one.name: getattr(seen, one.name) for one in fields(seen)} | {"landmark": label}
+    measurements = log.measurements
+    columns = {field.name: getattr(measurements, field.name) for field in fields(measurements)} | {
+        "landmark": label
+    }
     if gate is not None:
         columns["label_gate"] = gate
     return replace(log, measurements=SelectedMeasurements(**columns))
@@ -206,11 +208,13 @@ class _Gated:
     rule: Association
     rejected: set[bytes]
 
-    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+    def assign(
+        self, state: KalmanState, model: MeasurementModel, measurements: Measurements
+    ) -> Index:
         """Assign as the rule does."""
-        found = self.rule.assign(state, model, seen)
-        self.rejected.update(z.tobytes() for z in seen.z[found < 0])
-        return found
+        assigned = self.rule.assign(state, model, measurements)
+        self.rejected.update(z.tobytes() for z in measurements.z[assigned < 0])
+        return assigned
 
 
 class _Try(NamedTuple):
@@ -260,7 +264,7 @@ def find_left_out(
         rules.append(_gate_words(best.gate))
     left = np.union1d(rows, first_rows(label, best.first))
     z = np.column_stack((log.measurements.range_m, log.measurements.bearing_rad))
-    beyond = [k for k, one in enumerate(z) if one.tobytes() in best.rejected]
+    beyond = [k for k, measurement in enumerate(z) if measurement.tobytes() in best.rejected]
     left = np.union1d(left, np.array(beyond, dtype=np.intp))
     left = left[label[left] >= 0].astype(np.intp)
     return (LeftOut(left, " and ".join(rules)), best.near) if len(left) else None
@@ -277,12 +281,12 @@ class _Search:
 
     def best(self) -> _Try:
         """Return the nearest, by order of updates and first measurements, and then by gate."""
-        tries = sorted(self._firsts(), key=lambda one: one.rank, reverse=True)
+        tries = sorted(self._firsts(), key=lambda attempt: attempt.rank, reverse=True)
         best = tries[0]
-        farthest_s = max(one.reached_s for one in tries)
-        for one in () if best.rank[1] else tries:
-            if one is tries[0] or one.reached_s == farthest_s:
-                best = max([best, *self._gates(one)], key=lambda gated: gated.rank)
+        farthest_s = max(attempt.reached_s for attempt in tries)
+        for attempt in () if best.rank[1] else tries:
+            if attempt is tries[0] or attempt.reached_s == farthest_s:
+                best = max([best, *self._gates(attempt)], key=lambda gated: gated.rank)
             if best.rank[1]:
                 break
         return best
@@ -290,14 +294,14 @@ class _Search:
     def _firsts(self) -> Iterator[_Try]:
         for first in range(_MOST_FIRST):
             for order in _ORDERS:
-                yield (found := self._run(order, first, 0.0))
-                if found.rank[0]:
+                yield (attempt := self._run(order, first, 0.0))
+                if attempt.rank[0]:
                     return
 
     def _gates(self, best: _Try) -> Iterator[_Try]:
         for level in _LEVELS[::-1]:
-            yield (found := self._run(best.order, best.first, level))
-            if found.rank[0]:
+            yield (attempt := self._run(best.order, best.first, level))
+            if attempt.rank[0]:
                 return
 
     def _run(self, order: str, first: int, gate: float) -> _Try:
@@ -316,9 +320,9 @@ class _Search:
         near = None
         try:
             other = replace(prepared, log=log)
-            found = filter_of(order, _ORDERS[order], other, given.time_s, started)
-            if found is not None:
-                near = likeness(given, found, labelled=True)
+            reference = filter_of(order, _ORDERS[order], other, given.time_s, started)
+            if reference is not None:
+                near = likeness(given, reference, labelled=True)
         except EstimateLeftError:
             pass
         return _Try(order, first, gate, beside.last_s, beside.reached_s, near, rejected)

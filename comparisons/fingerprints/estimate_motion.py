@@ -54,21 +54,21 @@ def integrations_of(
     if isinstance(log.odometry, RelativePoses):
         return ()
     ours = log.integration or own_integration(log.odometry)
-    others: list[Integration] = [one for one in get_args(Named) if one != ours]
+    others: list[Integration] = [choice for choice in get_args(Named) if choice != ours]
     by_steps = integrations_by_steps(given, prepared)
     if by_steps is not None:
         return by_steps
     if nearest is None or nearest.reference.smoothed:
         return ()
     far = {ours: nearest.farthest}
-    for one, name in product(others, dict.fromkeys((nearest.reference.name, *filters))):
-        other = replace(prepared, log=replace(log, integration=one))
+    for integration, name in product(others, dict.fromkeys((nearest.reference.name, *filters))):
+        other = replace(prepared, log=replace(log, integration=integration))
         between = part_of_step(other.log)
         beside = Companion(given, nearest, _HALF, LIKE_SIGMA, between)
         again = _kept(name, other, given, beside)
         if again is not None:
             apart_sigma = likeness(given, again, labelled=prepared.labelled).farthest
-            far[one] = min(apart_sigma, far.get(one, apart_sigma))
+            far[integration] = min(apart_sigma, far.get(integration, apart_sigma))
     return _nearer(far, ours, _HALF)
 
 
@@ -86,11 +86,15 @@ def integrations_by_steps(
     if not len(steps.row):
         return None
     ours = ours or own_integration(log.odometry)
-    others = (one for one in (*get_args(Named), *steps.several(log)) if one != ours)
-    apart = {one: steps.apart(log, one) for one in (ours, *others)}
-    found = _nearer(apart, ours, _NEARER)
-    own = given.trace is not None or apart[ours] < _NEARER * max(apart.values())
-    return found or (() if own else None)
+    others = (
+        integration
+        for integration in (*get_args(Named), *steps.several(log))
+        if integration != ours
+    )
+    apart = {integration: steps.apart(log, integration) for integration in (ours, *others)}
+    nearest = _nearer(apart, ours, _NEARER)
+    can_tell = given.trace is not None or apart[ours] < _NEARER * max(apart.values())
+    return nearest or (() if can_tell else None)
 
 
 def distance_by_steps(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> float | None:
@@ -104,7 +108,9 @@ def distance_by_steps(given: ExternalEstimate, prepared: Prepared[SolveConfig]) 
     steps = _steps_of(given, prepared.timeline)
     if not len(steps.row):
         return None
-    return min(steps.apart(log, one) for one in (*get_args(Named), *steps.several(log)))
+    return min(
+        steps.apart(log, integration) for integration in (*get_args(Named), *steps.several(log))
+    )
 
 
 def _kept(
@@ -121,9 +127,13 @@ def _nearer(
     far: dict[Integration, float], ours: Integration, share: float
 ) -> tuple[Integration, ...]:
     """Those that leave less than a share of what ours leaves, and no more than the least twice."""
-    ranked = sorted((one for one in far if one != ours), key=far.__getitem__)
+    ranked = sorted(
+        (integration for integration in far if integration != ours), key=far.__getitem__
+    )
     return tuple(
-        one for one in ranked if far[one] < share * far[ours] and far[one] <= 2.0 * far[ranked[0]]
+        integration
+        for integration in ranked
+        if far[integration] < share * far[ours] and far[integration] <= 2.0 * far[ranked[0]]
     )
 
 
@@ -170,7 +180,7 @@ class _Steps:
         explain the numbers of all samples that of the roundest rate.
         """
         start = self.expected(log, "euler")
-        way, ours = ((one[:, :2] @ (1.0, 1j)) for one in (self.moved, start))
+        way, ours = ((path[:, :2] @ (1.0, 1j)) for path in (self.moved, start))
         turn, usual = np.abs(start[:, 2]), np.median(np.abs(start[:, 2]))
         known = (np.abs(ours) > 0.0) & (turn > _LEAST_TURN * usual)
         if not (known & (turn >= usual)).any():
@@ -199,5 +209,7 @@ def _steps_of(given: ExternalEstimate, timeline: Timeline) -> _Steps:
     begin_s, end_s = timeline.step_begin_s, timeline.step_end_s
     plain = np.isin(begin_s, given.time_s) & np.isin(end_s, given.time_s)
     row = np.flatnonzero(plain & ~np.isin(end_s, timeline.observed_s()))
-    departed, arrived = (np.searchsorted(given.time_s, one[row]) for one in (begin_s, end_s))
+    departed, arrived = (
+        np.searchsorted(given.time_s, stamps_s[row]) for stamps_s in (begin_s, end_s)
+    )
     return _Steps.between(timeline, row, given.pose[departed], given.pose[arrived])

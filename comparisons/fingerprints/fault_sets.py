@@ -70,14 +70,16 @@ class LinearEffects:
             size: n, numbers that are compared.
         """
         self.size = size
-        self._faults = [one for one, _ in faults]
+        self._faults = [fault for fault, _ in faults]
         self._whole = np.array([made for _, made in faults]).reshape(-1, size)
         self._families = list[Family]()
         self._like = list[list[Family]]()
         self._slope = np.empty((0, size))
         for family, slope in families:
             self._add(family, slope)
-        self._planted = np.array([one.plant is not None for one in self._families], dtype=bool)
+        self._planted = np.array(
+            [family.plant is not None for family in self._families], dtype=bool
+        )
 
     def _add(self, family: Family, slope: Array) -> None:
         """One more family, or what is like one that there is."""
@@ -109,15 +111,17 @@ class LinearEffects:
 
     def _extended(self, left: Array, sets: Iterable[_Rows]) -> dict[_Rows, float]:
         """The likeliest of sets with one more fault that has a number."""
-        return _least({rows: rest for one in sets for rows, rest in self._with_one(left, one)})
+        return _least(
+            {rows: rest for fault_set in sets for rows, rest in self._with_one(left, fault_set)}
+        )
 
     def _exchanged(self, left: Array, sets: dict[_Rows, float]) -> dict[_Rows, float]:
         """Sets of which no member can be given up for another that leaves less."""
         for _ in range(_EXCHANGES):
             smaller = {
-                _Rows(one.base, one.families[:k] + one.families[k + 1 :])
-                for one in sets
-                for k in range(len(one.families))
+                _Rows(fault_set.base, fault_set.families[:k] + fault_set.families[k + 1 :])
+                for fault_set in sets
+                for k in range(len(fault_set.families))
             }
             better = _least(sets | self._extended(left, sorted(smaller)))
             ended, sets = list(better) == list(sets), better
@@ -159,4 +163,4 @@ class LinearEffects:
 
 def _least(rests: dict[_Rows, float]) -> dict[_Rows, float]:
     """The sets that leave the least, by the square of it."""
-    return dict(sorted(rests.items(), key=lambda one: one[::-1])[:_LIKELY])
+    return dict(sorted(rests.items(), key=lambda entry: entry[::-1])[:_LIKELY])

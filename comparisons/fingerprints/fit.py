@@ -42,7 +42,9 @@ class FaultFit:
     def fault(self) -> Fault:
         """All of them at once, but for those that are none."""
         numbers = zip(self.families, self.at, strict=True)
-        kept = [_member(one, at) for one, at in numbers if abs(at - _neutral(one)) > _NEUTRAL]
+        kept = [
+            _member(number, at) for number, at in numbers if abs(at - _neutral(number)) > _NEUTRAL
+        ]
         return together(self.base, *kept)
 
     @property
@@ -52,7 +54,9 @@ class FaultFit:
 
     def at_numbers(self, at: Array) -> Fault:
         """All of them at once, with other numbers (k,)."""
-        members = (_member(one, number) for one, number in zip(self.families, at, strict=True))
+        members = (
+            _member(family, number) for family, number in zip(self.families, at, strict=True)
+        )
         return together(self.base, *members)
 
     def moved(self, which: int) -> Fault:
@@ -66,14 +70,14 @@ class FaultFit:
 
 def unfitted(families: tuple[Family, ...], base: Fault, left: Array) -> FaultFit:
     """Return a fit whose numbers are those of no fault. left: (n,) what a fault beside leaves."""
-    return FaultFit(base, families, np.array([_neutral(one) for one in families]), left)
+    return FaultFit(base, families, np.array([_neutral(family) for family in families]), left)
 
 
 def starts(family: Family) -> list[float]:
     """Return numbers from which a fit may begin, the first that of no fault."""
     neutral = _neutral(family)
     offsets = _FACTORS if family.factor else _OFFSETS
-    return [neutral + one for one in (0.0, *offsets)]
+    return [neutral + offset for offset in (0.0, *offsets)]
 
 
 def settled(fit: FaultFit, remainder: Remainder) -> FaultFit | None:

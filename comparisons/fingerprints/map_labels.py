@@ -51,20 +51,22 @@ class MapLabels(NamedTuple):
         )
 
 
-def map_labels(given: ExternalEstimate, seen: LandmarkMeasurements, own: Index) -> MapLabels | None:
+def map_labels(
+    given: ExternalEstimate, measurements: LandmarkMeasurements, landmark_id: Index
+) -> MapLabels | None:
     """Return the labels that an estimate's map implies.
 
     given: with poses at the measurements' times. own: (M,) landmark indices of the smoother's own
     association, negative where unused, which tells what is of a landmark that the map lacks. None
     where there are no such poses, or where the map leaves many measurements open.
     """
-    near, names = _nearest(given, seen), given.landmark_id
+    near, names = _nearest(given, measurements), given.landmark_id
     if near is None or names is None or np.count_nonzero(near < 0) > _MOST_UNCLEAR * len(near):
         return None
     label = np.full(len(near), NO_LANDMARK, dtype=np.int64)
     label[near >= 0] = names[near[near >= 0]]
-    lacking = (near < 0) & (own >= 0) & ~np.isin(own, own[near >= 0])
-    label[lacking] = int(names.max()) + 1 + own[lacking]
+    lacking = (near < 0) & (landmark_id >= 0) & ~np.isin(landmark_id, landmark_id[near >= 0])
+    label[lacking] = int(names.max()) + 1 + landmark_id[lacking]
     return MapLabels(label, int(np.count_nonzero(near >= 0)))
 
 
@@ -80,27 +82,31 @@ def plausible(optimum: Optimality, estimate: Estimate) -> bool:
     first, second = np.repeat(np.arange(count), near.shape[1]), near.ravel()
     points = slice(3, 3 + place.size)
     p = estimate.joint_covariance[points, points].reshape(count, 2, count, 2).swapaxes(1, 2)
-    own, across = p[np.arange(count), np.arange(count)], p[first, second]
-    spread = own[first] + own[second] - across - across.transpose(0, 2, 1)
+    within, across = p[np.arange(count), np.arange(count)], p[first, second]
+    spread = within[first] + within[second] - across - across.transpose(0, 2, 1)
     squared = squared_distance(place[first] - place[second], spread)
     return bool((squared > chi2_quantile(_PLAUSIBLE, 2)).all())
 
 
-def _nearest(given: ExternalEstimate, seen: LandmarkMeasurements) -> Index | None:
+def _nearest(given: ExternalEstimate, measurements: LandmarkMeasurements) -> Index | None:
     """The row (M,) of the map's landmark that each measurement leads to, -1 if to none or two."""
     if given.landmark is None or len(given.landmark) < 2:
         return None
-    at = np.minimum(np.searchsorted(given.time_s, seen.time_s - CLOCK_S), len(given.time_s) - 1)
-    if (np.abs(given.time_s[at] - seen.time_s) > CLOCK_S).any():
+    at = np.minimum(
+        np.searchsorted(given.time_s, measurements.time_s - CLOCK_S), len(given.time_s) - 1
+    )
+    if (np.abs(given.time_s[at] - measurements.time_s) > CLOCK_S).any():
         return None
-    pose, r = given.pose[at], seen.range_m
-    along = pose[:, 2] + seen.bearing_rad
+    pose, r = given.pose[at], measurements.range_m
+    along = pose[:, 2] + measurements.bearing_rad
     place = pose[:, :2] + r[:, None] * np.column_stack((np.cos(along), np.sin(along)))
     apart, order = _neighbours(given.landmark, place, 2)
     first, second = apart.T
-    clear = (first < _CLEARLY * second) & (first < _MOST_SIGMA * _sigma(given, seen, at, order))
-    found: Index = np.where(clear, order[:, 0], -1)
-    return found
+    clear = (first < _CLEARLY * second) & (
+        first < _MOST_SIGMA * _sigma(given, measurements, at, order)
+    )
+    nearest: Index = np.where(clear, order[:, 0], -1)
+    return nearest
 
 
 def _neighbours(places: Array, of: Array, count: int) -> tuple[Array, Index]:
@@ -111,10 +117,12 @@ def _neighbours(places: Array, of: Array, count: int) -> tuple[Array, Index]:
     return distance, row
 
 
-def _sigma(given: ExternalEstimate, seen: LandmarkMeasurements, at: Index, order: Index) -> Array:
+def _sigma(
+    given: ExternalEstimate, measurements: LandmarkMeasurements, at: Index, order: Index
+) -> Array:
     """Standard deviation (M,) of where measurements lead, against the nearest landmark."""
-    r = seen.range_m
-    variance: Array = seen.sigma_range_m**2 + (r * seen.sigma_bearing_rad) ** 2
+    r = measurements.range_m
+    variance: Array = measurements.sigma_range_m**2 + (r * measurements.sigma_bearing_rad) ** 2
     if given.pose_covariance is not None:
         p = given.pose_covariance[at]
         variance = variance + p[:, 0, 0] + p[:, 1, 1] + r**2 * p[:, 2, 2]

@@ -60,9 +60,13 @@ def _joined(found: Sequence[Fingerprint]) -> list[Fingerprint]:
     """The one that lasts longest, of several the first, with the others that last as long."""
     if not found:
         return []
-    first, *others = sorted(found, key=lambda one: one.rank[0])
+    first, *others = sorted(found, key=lambda fingerprint: fingerprint.rank[0])
     if first.whole:
-        also = [one.fault for one in others if one.whole and one.way == first.way]
+        also = [
+            fingerprint.fault
+            for fingerprint in others
+            if fingerprint.whole and fingerprint.way == first.way
+        ]
         first = first._replace(others=tuple(dict.fromkeys(also))[:_MOST_OTHERS])
     return [first]
 
@@ -104,11 +108,11 @@ class _Search:
         explained = list[Fingerprint]()
         for done, fault in enumerate(faults):
             self.progress("fingerprints", done, len(faults))
-            found, early = self._tried(fault)
-            explained += [] if found is None else [found]
+            fingerprint, early = self._tried(fault)
+            explained += [] if fingerprint is None else [fingerprint]
             if not early:
                 self.lasting.append(fault)
-            if sum(one.whole for one in explained) > _MOST_OTHERS:
+            if sum(fingerprint.whole for fingerprint in explained) > _MOST_OTHERS:
                 break
         return _joined(explained)
 
@@ -123,9 +127,9 @@ class _Search:
         for trial in others:
             if tried.departure is not None and first.farther_than(trial, tried.departure):
                 continue
-            found = trial.of(fault).explained
-            if found is not None and (best is None or found.rank < best.rank):
-                best = found
+            fingerprint = trial.of(fault).explained
+            if fingerprint is not None and (best is None or fingerprint.rank < best.rank):
+                best = fingerprint
             if best is not None and best.whole:
                 break
         return best, early
@@ -147,14 +151,16 @@ class _Search:
                 explained += [] if found is None else [found]
                 if fit is None or found is not None:
                     break
-            if sum(one.whole for one in explained) > _MOST_OTHERS:
+            if sum(fingerprint.whole for fingerprint in explained) > _MOST_OTHERS:
                 break
         return _joined(explained)
 
     def of_kinds(self) -> list[Fingerprint]:
         """What reproduces the estimate in filters of other equations: faults of the log's."""
         log, explained = self.prepared.log, list[Fingerprint]()
-        faults = [one for one in (*_start(self.given, log), *stream_faults(log)) if not one.plant]
+        faults = [
+            fault for fault in (*_start(self.given, log), *stream_faults(log)) if not fault.plant
+        ]
         for kind in KINDS:
             trial = self._trial(Way(f"it is {kind}", log, kind))
             explained += filter(None, (trial.of(fault).explained for fault in faults))
@@ -163,7 +169,7 @@ class _Search:
                 fit = trial.fitted(family) if made and trial.may_fit(made) else None
                 found = None if fit is None else trial.of(fit.fault).explained
                 explained += [] if found is None else [found]
-            if any(one.whole for one in explained):
+            if any(fingerprint.whole for fingerprint in explained):
                 break
         return _joined(explained)
 
@@ -195,9 +201,9 @@ def _start(given: ExternalEstimate, log: Log) -> list[Fault]:
     """The estimate's own prior, where it has one and it is not the log's."""
     if given.pose_covariance is None or abs(given.time_s[0] - log.prior.time_s) > CLOCK_S:
         return []
-    own = given.pose_covariance[0]
-    positive = np.linalg.eigvalsh(0.5 * (own + own.T))[0] > 0.0
-    return [own_start(log, own)] if positive else []
+    covariance = given.pose_covariance[0]
+    positive = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] > 0.0
+    return [own_start(log, covariance)] if positive else []
 
 
 def fault_cause(known: Fingerprint, sound: Likeness) -> Cause:

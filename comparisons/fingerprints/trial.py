@@ -124,8 +124,8 @@ def stamp_rounding(given: ExternalEstimate, sound: Likeness, start_s: float) -> 
     moved[:, 2] = np.angle(np.exp(1j * moved[:, 2]))
     rate = np.abs(moved / np.diff(given.time_s)[:, None]).max(axis=0)
     spread = np.sqrt(np.diagonal(sound.reference.pose_covariance, 0, 1, 2)).min(axis=0)
-    found = _STAMPS * float(np.spacing(start_s) * np.max(rate / spread))
-    return min(found, _MOST_BY_STAMPS)
+    rounding = _STAMPS * float(np.spacing(start_s) * np.max(rate / spread))
+    return min(rounding, _MOST_BY_STAMPS)
 
 
 class Trial(NamedTuple):
@@ -175,8 +175,8 @@ class FaultTrial:
         reference = self._run(NONE, FilterObservers())
         return None if reference is None else self._likeness(reference)
 
-    def _likeness(self, found: Reference) -> Likeness:
-        return likeness(self.given, found, labelled=self.prepared.labelled)
+    def _likeness(self, reference: Reference) -> Likeness:
+        return likeness(self.given, reference, labelled=self.prepared.labelled)
 
     def _equal(self, near: Likeness) -> bool:
         """Whether rounding is left, and no more, of numbers or of stamps since 1970."""
@@ -197,7 +197,11 @@ class FaultTrial:
     @cached_property
     def equal_poses(self) -> int:
         """How many of the first poses are those of the filter without a fault."""
-        off = [k for k, one in enumerate(self._neutral_rows) if np.abs(one).max() > self.least]
+        off = [
+            k
+            for k, neutral_row in enumerate(self._neutral_rows)
+            if np.abs(neutral_row).max() > self.least
+        ]
         return off[0] if off else len(self._neutral_rows)
 
     def is_early(self, departure: RunDeparture) -> bool:
@@ -243,7 +247,7 @@ class FaultTrial:
         lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED and share >= LEAST_SHARE
         if lasted and self._wrong_without(beside.last_s):
             until_s = beside.last_s if beside.last_s < end_s else None
-            found = Fingerprint(
+            fingerprint = Fingerprint(
                 fault.what,
                 self.way.words,
                 beside.farthest,
@@ -251,7 +255,7 @@ class FaultTrial:
                 jumps=beside.jumps(_JUMP),
                 share=share,
             )
-            return Trial(found, beside.departure)
+            return Trial(fingerprint, beside.departure)
         return Trial(None, beside.departure)
 
     def screened(self, family: Family) -> list[Array]:
@@ -267,7 +271,10 @@ class FaultTrial:
     @cached_property
     def _most_early(self) -> list[Array]:
         """What a small number may leave of the poses before those that differ."""
-        return [np.abs(one) + STEP * _NO_EFFECT for one in self._neutral_rows[: self.equal_poses]]
+        return [
+            np.abs(neutral_row) + STEP * _NO_EFFECT
+            for neutral_row in self._neutral_rows[: self.equal_poses]
+        ]
 
     def _moved(self, family: Family, count: int) -> list[Array]:
         """The same of so many poses."""
@@ -285,7 +292,7 @@ class FaultTrial:
         """
         rows, early, count = self._neutral_rows, self.equal_poses, len(made)
         pairs = [in_both(*both) for both in zip(rows[early:count], made[early:count], strict=True)]
-        left, change = (np.concatenate(one) for one in zip(*pairs, strict=True))
+        left, change = (np.concatenate(column) for column in zip(*pairs, strict=True))
         with np.errstate(all="ignore"):
             slope = (change - left) / STEP
         if not np.isfinite(slope).all() or not np.abs(slope).max() > 0.0:

@@ -47,9 +47,9 @@ def unscented_filters(
     for symmetric, kappa, controls, starts in product((False, True), (0.0, None), both, both):
         form = SigmaPoints(kappa=kappa, symmetric=symmetric)
         kind = fit.fitted(form, {"controls": controls, "starts": starts})
-        found = None if kind is None else filter_of(NAME, kind, prepared, given.time_s)
-        if found is not None:
-            yield found
+        reference = None if kind is None else filter_of(NAME, kind, prepared, given.time_s)
+        if reference is not None:
+            yield reference
 
 
 class _Fit:
@@ -86,7 +86,7 @@ class _Fit:
         best, last = at, np.inf
         for _ in range(_ROUNDS):
             tried = (at, *(at + _STEP * np.eye(2)))
-            now, *beside = (self._left(kind(one), count) for one in tried)
+            now, *beside = (self._left(kind(number), count) for number in tried)
             if now is None or beside[0] is None or beside[1] is None:
                 return None
             left = float(np.abs(now).max())
@@ -95,7 +95,7 @@ class _Fit:
             last, best = left, at
             if left <= _ROUNDING:
                 break
-            slope = np.column_stack([one - now for one in beside if one is not None])
+            slope = np.column_stack([moved - now for moved in beside if moved is not None])
             at = np.clip(at - np.linalg.lstsq(slope / _STEP, now)[0], _LOW, _HIGH)
         enough = max((1.0 - EXPLAINED) * self.beside.sound_until(count), _ROUNDING)
         return best if last <= enough else None
@@ -103,7 +103,7 @@ class _Fit:
     def _left(self, kind: type[UnscentedEkf], count: int) -> Array | None:
         """What is left of the first poses; None where the filter does not reach them all."""
 
-        def run(seen: FilterObserver) -> None:
-            filter_of(NAME, kind, self.prepared, self.given.time_s, lambda ekf: seen)
+        def run(observer: FilterObserver) -> None:
+            filter_of(NAME, kind, self.prepared, self.given.time_s, lambda ekf: observer)
 
         return remainder(self.beside, count, run)

@@ -135,45 +135,59 @@ def explained(
     return None
 
 
-def _with_departure(grader: Grader, found: ExternalCheck) -> ExternalCheck:
+def _with_departure(grader: Grader, external_check: ExternalCheck) -> ExternalCheck:
     """Say where it first leaves what a sound filter of its kind does."""
-    prepared, inside = found.solution.prepared, found.inside
-    left = None if found.trace is None else found.trace.departure
+    prepared, inside = external_check.solution.prepared, external_check.inside
+    left = None if external_check.trace is None else external_check.trace.departure
     if left is None:
-        sound = _to_leave(grader, found)
+        sound = _to_leave(grader, external_check)
         left = departure_from(inside, sound, prepared.log, prepared.timeline)
     if left is None:
-        return found
-    said = "" if found.outcome == "agree" else left.briefly if found.reproduced else str(left)
-    return replace(remarked(found, said), departure=left)
+        return external_check
+    said = (
+        ""
+        if external_check.outcome == "agree"
+        else left.briefly
+        if external_check.reproduced
+        else str(left)
+    )
+    return replace(remarked(external_check, said), departure=left)
 
 
-def _to_leave(grader: Grader, found: ExternalCheck) -> list[Reference]:
+def _to_leave(grader: Grader, external_check: ExternalCheck) -> list[Reference]:
     """Sound filters that an estimate may leave: all where nothing else explains it.
 
     Else those that it may be like, or those that differ by their order alone.
     """
-    explained_as_is = found.outcome == "agree" or found.reproduced
-    if asks_for_variants(found.by_peer) and not explained_as_is:
-        return sound_filters(grader, found)
-    sound = [one for one in (*found.peers, *found.variants) if not one.smoothed]
-    if not sound or found.variants:
+    explained_as_is = external_check.outcome == "agree" or external_check.reproduced
+    if asks_for_variants(external_check.by_peer) and not explained_as_is:
+        return sound_filters(grader, external_check)
+    sound = [
+        reference
+        for reference in (*external_check.peers, *external_check.variants)
+        if not reference.smoothed
+    ]
+    if not sound or external_check.variants:
         return sound
-    filters, time_s = grader.filters(found.solution), found.inside.time_s
+    filters, time_s = grader.filters(external_check.solution), external_check.inside.time_s
     others = (filters.named(name, time_s) for name in ORDERS if name != EKF)
-    return [*sound, *(one for one in others if one is not None)]
+    return [*sound, *(reference for reference in others if reference is not None)]
 
 
-def _qualified(found: ExternalCheck) -> ExternalCheck:
+def _qualified(external_check: ExternalCheck) -> ExternalCheck:
     """Say what a reader of the outcome must know as well, by what the checks find."""
-    known = found.known
-    verdict = Verdict(outcome=found.outcome, causes=found.causes, remarks=found.remarks)
+    known = external_check.known
+    verdict = Verdict(
+        outcome=external_check.outcome, causes=external_check.causes, remarks=external_check.remarks
+    )
     consistency, beside = known.value(ConsistencyFinding), known.remarks
-    if found.reproduced and consistency is not None and consistency.remarks:
+    if external_check.reproduced and consistency is not None and consistency.remarks:
         beside = [one for one in beside if one not in consistency.remarks]
-        found = replace(found, consequences=(*found.consequences, "consistency"))
+        external_check = replace(
+            external_check, consequences=(*external_check.consequences, "consistency")
+        )
     judged = qualified(
-        replace(verdict, remarks=(*found.remarks, *beside)),
+        replace(verdict, remarks=(*external_check.remarks, *beside)),
         known.value(TruthGapFinding),
         unchecked="",
         consistency=consistency,
@@ -181,7 +195,7 @@ def _qualified(found: ExternalCheck) -> ExternalCheck:
         fail_on=(),
     )
     return replace(
-        found,
+        external_check,
         causes=judged.causes,
         remarks=judged.remarks,
         qualifiers=judged.qualifiers,

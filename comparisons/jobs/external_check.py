@@ -82,7 +82,7 @@ class ExternalCheck(Shown):
 
     def __repr__(self) -> str:
         """Return log, outcome, grade and the causes' names in one line."""
-        gaps = ", ".join(one.gap for one in self.causes)
+        gaps = ", ".join(cause.gap for cause in self.causes)
         name, grade = self.solution.log.name, self.grade.value or "none"
         return f"<ExternalCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
 

@@ -121,9 +121,9 @@ def trace_run(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> tuple
     file, log = _file(given), prepared.log
     if log.known_landmarks is not None:
         raise InputError(f"{log.name}: traces are not checked on logs with known landmarks")
-    own, theirs = _timelines(file, float(given.time_s[-1]), prepared.timeline)
+    timeline, theirs = _timelines(file, float(given.time_s[-1]), prepared.timeline)
     run = _as_run(given, file, theirs, prepared.positions)
-    return _with_removed(run, file.removed_id), own
+    return _with_removed(run, file.removed_id), timeline
 
 
 def _file(given: ExternalEstimate) -> TraceFile:
@@ -145,7 +145,7 @@ def check_trace(
     filter used the same measurements of the same landmarks. Raises InputError where an equation is
     singular.
     """
-    recorded, own = followed
+    recorded, timeline = followed
     run = _at_points(recorded)
     file, log, positions = _file(given), prepared.log, prepared.positions
     known = given.joint_covariance is not None
@@ -160,10 +160,10 @@ def check_trace(
 
     try:
         gaps = compute_gaps(
-            log, run, optimum, clock, no_progress, timeline=own, covariance_known=known
+            log, run, optimum, clock, no_progress, timeline=timeline, covariance_known=known
         )
         kind = SingleRecords if file.rounding else TraceRecords
-        records = kind(gaps, file, positions, run.timeline is own)
+        records = kind(gaps, file, positions, run.timeline is timeline)
         limits = records.algebra.sigma, records.model.sigma
     except np.linalg.LinAlgError:
         raise InputError(
@@ -181,7 +181,7 @@ def check_trace(
     found = Answers(before, OF_FILTER).known
     verdict, agreement, trace = judge(found), gaps.agreement, run.trace
     algebra = agreement.algebra if known else None
-    causes, held = {one.gap for one in verdict.causes}, len(_last(given).landmark)
+    causes, held = {cause.gap for cause in verdict.causes}, len(_last(given).landmark)
     sensors = event_innovations(run_events(recorded), run.sensors)
     return TraceCheck(
         known=found,
@@ -203,14 +203,14 @@ def check_trace(
 
 def _departure(given: ExternalEstimate, known: Known, causes: set[str]) -> Departure | None:
     """Where first the trace leaves the models, or the estimate what the trace leads to."""
-    log, run, found = known.prepared.log, known.ekf, list[Departure | None]()
+    log, run, departures = known.prepared.log, known.ekf, list[Departure | None]()
     if "model" in causes:
-        found.append(model_departure(given, known.records.differences, log))
+        departures.append(model_departure(given, known.records.differences, log))
     if "algebra" in causes:
         with np.errstate(all="ignore"):  # a wrong filter may have broken down
-            own = _own_equations(run, len(run.estimate.landmark))
-        found.append(departure_from(given, [own], log, run.timeline))
-    left = (one for one in found if one is not None)
+            reference = _own_equations(run, len(run.estimate.landmark))
+        departures.append(departure_from(given, [reference], log, run.timeline))
+    left = (departure for departure in departures if departure is not None)
     return min(left, key=lambda one: one.time_s, default=None)
 
 
@@ -312,8 +312,8 @@ class SingleRecords(TraceRecords):
     def model(self) -> Allowed:
         """The model gap that rounding, and storing, explains."""
         gaps = self.gaps
-        own = allowed_gap(gaps.model_solved, gaps.run.trace, self._sigma)
-        model = gaps.model_rounding.plus(self._from_trace).plus(own)
+        tolerance = allowed_gap(gaps.model_solved, gaps.run.trace, self._sigma)
+        model = gaps.model_rounding.plus(self._from_trace).plus(tolerance)
         return model.times(OPERATIONS) if self.single else model
 
     @cached_property
@@ -510,8 +510,8 @@ def _at_points(run: EkfRun) -> EkfRun:
     off = np.abs(used.pose[first] - arrived)
     if not (off > _ROUNDED * np.maximum(1.0, np.abs(arrived))).any():
         return run
-    seen = replace(used, innovation=residuals_at_points(run))
-    return replace(run, trace=replace(trace, measurements={**trace.measurements, POINT: seen}))
+    records = replace(used, innovation=residuals_at_points(run))
+    return replace(run, trace=replace(trace, measurements={**trace.measurements, POINT: records}))
 
 
 def _largest_turn(trace: TraceArrays) -> float:

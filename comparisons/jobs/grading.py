@@ -235,7 +235,7 @@ def _with_outcome(check: ExternalCheck, unlike: list[Cause]) -> ExternalCheck:
     faults = tuple(one for one in causes if one.gap in FILTER_FAULTS)
     small = []
     if outcome == "agree":
-        small = [f"warning (grade reached): {one.gap}: {one.evidence}" for one in faults]
+        small = [f"warning (grade reached): {fault.gap}: {fault.evidence}" for fault in faults]
         causes = ()
     if check.coverage.short:
         # A wrong filter may have broken down.
@@ -261,7 +261,7 @@ def _references(
     time_s, labelled = inside.time_s, solution.prepared.labelled
     peers = _peers(inside, solution, filters)
     optimum = peers[-1] if peers and peers[-1].smoothed else smoother(solution, time_s)
-    by_peer = tuple(likeness(inside, one, labelled=labelled) for one in peers)
+    by_peer = tuple(likeness(inside, peer, labelled=labelled) for peer in peers)
     ekf = None if not peers or peers[0].smoothed else filters.ekf(time_s)
     motion = _motion(given, inside, by_peer, optimum, solution, filters)
     nearest: Likeness | None = None
@@ -324,14 +324,14 @@ def _motion(
         return None
     begin_s, end_s = solution.estimate.time_s[[0, -1]]
     paths = paths_beside(inside, by_peer[0].reference, optimum.pose)
-    for one in undone_motions(given, paths, solution.prepared.timeline.instants_s()):
-        time_s = one.given.time_s
-        moved = with_poses(one.given, (time_s >= begin_s) & (time_s <= end_s))
+    for motion in undone_motions(given, paths, solution.prepared.timeline.instants_s()):
+        time_s = motion.given.time_s
+        moved = with_poses(motion.given, (time_s >= begin_s) & (time_s <= end_s))
         peers = _peers(moved, solution, filters) if len(moved.time_s) >= FEWEST else ()
         for peer in peers:
             near = likeness(moved, peer, labelled=solution.prepared.labelled)
             if near.grade == "equal" and np.count_nonzero(peer.known) >= FEWEST:
-                return one
+                return motion
     return None
 
 
@@ -374,10 +374,12 @@ def _by_equations(
     untold = traced.verdict.outcome == "unverified"
     if traced.own is None or untold or grade.value in ("like", "equal"):
         return grade
-    own = traced.own.at(inside.time_s)
-    if not len(own.time_s):
+    reference = traced.own.at(inside.time_s)
+    if not len(reference.time_s):
         return grade
-    near = likeness(with_poses(inside, np.isin(inside.time_s, own.time_s)), own, labelled=labelled)
+    near = likeness(
+        with_poses(inside, np.isin(inside.time_s, reference.time_s)), reference, labelled=labelled
+    )
     return grade if near.grade is None else replace(grade, value="like", by=near)
 
 

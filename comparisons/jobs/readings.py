@@ -165,11 +165,11 @@ class MotionReading(Reading):
         elif check.outcome == "agree":
             then = "the estimate is plausible beside the smoother"
         said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
-        left = [motion.gap, *(one.gap for one in check.causes)]
+        left = [motion.gap, *(cause.gap for cause in check.causes)]
         return replace(
             self.first,
             causes=(said, *check.causes),
-            consequences=tuple(one.gap for one in self.first.causes if one.gap not in left),
+            consequences=tuple(cause.gap for cause in self.first.causes if cause.gap not in left),
             remarks=check.remarks,
             reproduced=check.reproduced,
         )
@@ -251,7 +251,7 @@ def _of_integrations(
     grader: Grader, given: ExternalEstimate, integrations: tuple[Integration, ...]
 ) -> LogReading:
     """References that move by the first of integrations that explain an estimate's steps."""
-    steps = " or ".join(in_words(one) for one in integrations)
+    steps = " or ".join(in_words(integration) for integration in integrations)
     words = f"the estimate integrates steps {steps}; references and smoother do so, too"
     return LogReading(words, grader.integrated(integrations[0]), given)
 
@@ -328,10 +328,12 @@ def _with_fault(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
         yield FilterReading(words, _as_near(first, replace(sound, grade="like")))
         return
     nearest, follow = known[0], tuple[str, ...]()
-    others = tuple(one for one in first.causes if one.gap in FILTER_FAULTS)
+    others = tuple(cause for cause in first.causes if cause.gap in FILTER_FAULTS)
     if nearest.whole:  # the same poses, landmarks and covariances, so all that differs from sound
-        others = tuple(_following(one) for one in others)
-        follow = tuple(one.gap for one in first.causes if one.gap in ("estimate", "covariance"))
+        others = tuple(_following(cause) for cause in others)
+        follow = tuple(
+            cause.gap for cause in first.causes if cause.gap in ("estimate", "covariance")
+        )
     causes = (fault_cause(nearest, sound), *others)
     check = replace(first, causes=causes, consequences=follow, reproduced=nearest.whole)
     yield FilterReading("", check)
@@ -362,9 +364,9 @@ def _of_spread(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
     near, labelled = _filter_like(first), first.solution.prepared.labelled
     if near is None:
         return
-    sound = [one for one in sound_filters(grader, first) if one.name not in APART]
-    for one in sound:
-        near = nearer(near, likeness(first.inside, one, labelled=labelled))
+    sound = [filter_ for filter_ in sound_filters(grader, first) if filter_.name not in APART]
+    for reference in sound:
+        near = nearer(near, likeness(first.inside, reference, labelled=labelled))
     if not within_spread(near, sound, labelled=labelled):
         return
     words = (
@@ -377,8 +379,8 @@ def _of_spread(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
 def sound_filters(grader: Grader, check: ExternalCheck) -> list[Reference]:
     """Return the sound filters beside an estimate, whole: peers, variants, all others."""
     others = grader.filters(check.solution).variants(check.inside.time_s)
-    filters = {one.name: one for one in (*check.peers, *check.variants, *others)}
-    return [one for one in filters.values() if not one.smoothed]
+    filters = {reference.name: reference for reference in (*check.peers, *check.variants, *others)}
+    return [reference for reference in filters.values() if not reference.smoothed]
 
 
 def _by_motion(grader: Grader, first: ExternalCheck) -> Iterator[Reading]:
@@ -415,7 +417,9 @@ def _filter_like(check: ExternalCheck) -> Likeness | None:
     None where its trace has a fault, or too little is covered.
     """
     near, traced = check.grade.by, check.trace
-    faulty = traced is not None and any(one.gap in FILTER_FAULTS for one in traced.verdict.causes)
+    faulty = traced is not None and any(
+        cause.gap in FILTER_FAULTS for cause in traced.verdict.causes
+    )
     if faulty or near is None or near.reference.smoothed or not asks_for_variants(check.by_peer):
         return None
     return None if check.coverage.short else near
@@ -459,22 +463,22 @@ def _both_exact(check: ExternalCheck) -> bool:
     start = None if check.given.trace is None else check.given.trace.trace.prior_covariance
     if start is None and given.pose_covariance is not None:
         start = given.pose_covariance[0] if given.time_s[0] <= log.prior.time_s + CLOCK_S else None
-    seen = log.measurements
-    if start is None or not len(seen.time_s):
+    measurements = log.measurements
+    if start is None or not len(measurements.time_s):
         return False
-    place, turn = seen.sigma_range_m.min(), seen.sigma_bearing_rad.min()
+    place, turn = measurements.sigma_range_m.min(), measurements.sigma_bearing_rad.min()
     limit = (_EXACT_SHARE * np.array((place, place, turn))) ** 2
     return bool((np.diag(start) <= limit).all() and (np.diag(log.prior.covariance) <= limit).all())
 
 
 def _of_settings(traced: TraceCheck) -> bool:
     """Whether a trace differs from the models in the prior and the noise of predictions alone."""
-    causes = {one.gap for one in traced.verdict.causes} & set(FILTER_FAULTS)
+    causes = {cause.gap for cause in traced.verdict.causes} & set(FILTER_FAULTS)
     differences = traced.known.records.differences
     return causes <= {"model"} and all(
-        one.relation == "priors"
-        or (one.relation == PREDICTIONS and one.quantity == "the noise covariance")
-        for one in differences
+        difference.relation == "priors"
+        or (difference.relation == PREDICTIONS and difference.quantity == "the noise covariance")
+        for difference in differences
     )
 
 

@@ -146,8 +146,8 @@ class Comparison(Shown):
     @property
     def accuracy(self) -> Accuracies:
         """Errors of each estimate. Raises LookupError where the log has no reference."""
-        found: Accuracies = self.find(AccuracyFinding).entries["accuracy"]
-        return found
+        accuracies: Accuracies = self.find(AccuracyFinding).entries["accuracy"]
+        return accuracies
 
     @property
     def spurious(self) -> Learnt | None:
@@ -176,9 +176,9 @@ class Comparison(Shown):
         Raises:
             LookupError: No check that was asked has such a finding.
         """
-        for found in self.findings.values():
-            if isinstance(found, kind):
-                return found
+        for finding in self.findings.values():
+            if isinstance(finding, kind):
+                return finding
         raise LookupError(f"the run has no {kind.__name__}")
 
     @property
@@ -213,9 +213,9 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     asked = extensions if second is None else (*extensions, second)
     with ExitStack() as stack:  # what extensions start beside the smoother ends with the block
         started = {
-            one.name: stack.enter_context(work)
-            for one in asked
-            if (work := one.start(prepared, run)) is not None
+            extension.name: stack.enter_context(work)
+            for extension in asked
+            if (work := extension.start(prepared, run)) is not None
         }
         optimum = optimum_of(run, options, clock, progress)
         gaps = compute_gaps(log, run, optimum, clock, progress)
@@ -230,8 +230,8 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             beside=setup,
             started=started,
         )
-        for one in extensions:
-            one.ask(own)
+        for extension in extensions:
+            extension.ask(own)
         if second is not None:  # which nobody named
             try:
                 second.ask(own)
@@ -273,7 +273,7 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
     if prepared.labelled or reported or not len(log.measurements.time_s):
         return None, ""
     if name in prepared.config.extensions:
-        if any(one.asked for one in _extensions(prepared) if one.name == name):
+        if any(extension.asked for extension in _extensions(prepared) if extension.name == name):
             return None, ""
         return None, "the association is unchecked, as --smoother-association ekf asks"
     pairs = len(run.landmark_index) * len(run.estimate.landmark)
@@ -288,7 +288,7 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
 
 def _extensions(prepared: Prepared[Any]) -> tuple[Extension, ...]:
     """Return those that find something, of all that take part."""
-    return tuple(one for one in prepared.extensions if isinstance(one, Extension))
+    return tuple(extension for extension in prepared.extensions if isinstance(extension, Extension))
 
 
 class Modified(Preparation):

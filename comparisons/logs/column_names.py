@@ -143,7 +143,7 @@ def known_unit(column: str, text: str) -> str | None:
     word = _SPELT.get(word, word)
     if word in units:
         return word
-    return next((one for one in units if one.replace("/", "") == word), None)
+    return next((unit for unit in units if unit.replace("/", "") == word), None)
 
 
 def meaning(header: str, wanted: Sequence[str]) -> Meaning | None:
@@ -166,7 +166,7 @@ def named_header(header: str, column: str) -> Meaning:
     if unit is not None:
         return Meaning(column, _checked_unit(header, column, unit), usual=True)
     ends = (known_unit(column, end) for _, end in _endings(name))
-    return Meaning(column, next((one for one in ends if one), None), usual=True)
+    return Meaning(column, next((end for end in ends if end), None), usual=True)
 
 
 def column_of(name: str, among: Sequence[str] = tuple(NAMES)) -> str | None:

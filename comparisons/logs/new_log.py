@@ -534,7 +534,7 @@ def _reckoned(log: Log) -> Reckoned:
     if isinstance(odometry, RelativePoses):
         moved, time_s = odometry, np.append(log.prior.time_s, time_s)
     else:
-        controls = (one[:-1] for one in odometry.controls)
+        controls = (control[:-1] for control in odometry.controls)
         moved = wheel_samples(odometry, controls, np.diff(time_s))
     pose = dead_reckoned(np.zeros(3), moved.displacement)
     return Reckoned(time_s, pose, pose[:, 0] + 1j * pose[:, 1], moved.covariance)

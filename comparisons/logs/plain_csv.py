@@ -248,7 +248,7 @@ def _lines(path: Path, wanted: Sequence[str], options: ColumnOptions) -> _Lines:
         mend = f"; {options.mend}" if fault.startswith("unknown columns") else ""
         raise InputError(f"{path}:{first}: {fault}{mend}, {SEE}")
     rows = _split(path, records[begin:], delimiter)
-    number = [one for one, _ in records[begin:]]
+    number = [record for record, _ in records[begin:]]
     for row, line in zip(rows, number, strict=True):
         while len(row) > len(names) and not row[-1].strip():
             row.pop()
@@ -377,7 +377,7 @@ def _check_sigma_units(lines: _Lines, sources: Mapping[str, _Source]) -> None:
         unit = (values.unit or "").removeprefix("-")
         if values.unit is None or factor_of(of, unit) == 1.0:
             continue
-        header, other = (shorten(lines.names[one.places[0]]) for one in (sigma, values))
+        header, other = (shorten(lines.names[source.places[0]]) for source in (sigma, values))
         raise InputError(
             f"{lines.path}: '{header}' names no unit beside '{other}' in {unit}, expected one: "
             f"name it {NAMES[name][0]}_{unit}, or give --unit {header}={unit} (or "
@@ -485,7 +485,7 @@ def _times(lines: _Lines, source: _Source, header: str) -> tuple[list[Decimal], 
             f"as {unit}, expected the time of a drive; name its unit: {_spans(span, header)}"
         )
     text = "" if unit == "s" and not how else f"{unit}{how}"
-    return [one / _PER_SECOND[unit] for one in values], text
+    return [decimal / _PER_SECOND[unit] for decimal in values], text
 
 
 def _spans(span: float, header: str) -> str:

@@ -26,11 +26,11 @@ class Stream:
         """The same with some of its rows; what is one for all of them stays."""
         own = cast(Any, self)
         columns = {
-            one.name: value[rows]
-            for one in fields(own)
-            if isinstance(value := getattr(own, one.name), np.ndarray)
+            field.name: value[rows]
+            for field in fields(own)
+            if isinstance(value := getattr(own, field.name), np.ndarray)
             and len(value) == len(own.time_s)
-            and one.name != "angle_rad"
+            and field.name != "angle_rad"
         }
         return cast(Self, replace(own, **columns))
 
@@ -54,7 +54,7 @@ def check(
     gaps: columns in which NaN means not measured. shapes: each row's shape, None to leave alone.
     """
     kept: dict[str, NDArray[Any]] = {}
-    for name in (one.name for one in fields(record)):  # type: ignore[arg-type]
+    for name in (field.name for field in fields(record)):  # type: ignore[arg-type]
         if isinstance(value := getattr(record, name), np.ndarray | list):
             ids = name in ("id", "landmark")
             kept[name] = whole_numbers(stream, name, np.array(value)) if ids else frozen(value)

@@ -45,10 +45,10 @@ class Clock:
 
     def after(self, *others: Clock | None) -> dict[str, dict[str, float]]:
         """Return `seconds` and `cpu_s` as result files have them, stages of others first."""
-        clocks = [*(one for one in others if one is not None), self]
+        clocks = [*(clock for clock in others if clock is not None), self]
         return {
-            "seconds": {k: v for one in clocks for k, v in one.seconds.items()},
-            "cpu_s": {k: v for one in clocks for k, v in one.cpu_s.items()},
+            "seconds": {k: v for clock in clocks for k, v in clock.seconds.items()},
+            "cpu_s": {k: v for clock in clocks for k, v in clock.cpu_s.items()},
         }
 
 

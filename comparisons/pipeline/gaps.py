@@ -115,8 +115,8 @@ class Gaps(Brief):
         moved = self._moved(self.solved, self._f1, model, unit)
         if self.run.trace.departed.shape[1:] != self.run.departed.shape[1:]:
             return moved
-        own = self.model_solved(self.run.trace)
-        return moved.at_least_of(self._moved(self.model_solved, own, model, unit))
+        modelled = self.model_solved(self.run.trace)
+        return moved.at_least_of(self._moved(self.model_solved, modelled, model, unit))
 
     @cached_property
     def _f1(self) -> Gaussian:
@@ -194,12 +194,12 @@ class Gaps(Brief):
         from comparisons.checks.diagnosis.model_differences import model_differences
         from comparisons.checks.diagnosis.sensor_records import sensor_pairs
 
-        said, own = self.by_steps(self.recorded, self.run.trace), self.model
+        said, problem = self.by_steps(self.recorded, self.run.trace), self.model
         if self._model_steps is not None:
-            own = replace(own, motion=self._model_steps)
+            problem = replace(problem, motion=self._model_steps)
         return model_differences(
             said,
-            own,
+            problem,
             ROUNDING,
             self.initialised,
             stored or {},

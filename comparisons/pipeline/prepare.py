@@ -90,12 +90,12 @@ def _check_streams(prepared: Prepared[Any], required: Required) -> None:
     log, extensions = prepared.log, prepared.extensions
     if log.loop_closures is not None and not required.loop_closures:
         raise InputError(f"{log.name}: {_why_no_filter(log)}")
-    landmarks = any(one.brings_landmarks for one in extensions)
+    landmarks = any(extension.brings_landmarks for extension in extensions)
     if required.measurements is not None and not landmarks and not len(log.measurements.time_s):
         raise InputError(
             f"{log.name}: holds no measurements of landmarks ({required.measurements})"
         )
-    motion = any(one.brings_motion for one in extensions)
+    motion = any(extension.brings_motion for extension in extensions)
     if required.odometry is not None and not motion and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; {required.odometry}")
 

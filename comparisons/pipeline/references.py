@@ -123,7 +123,7 @@ class SoundFilters:
     def variants(self, time_s: Array) -> tuple[Reference, ...]:
         """Return all others than the reference EKF at times (K,) that do not break down."""
         filters = (self.named(name, time_s) for name in VARIANTS)
-        return tuple(one for one in filters if one is not None)
+        return tuple(reference for reference in filters if reference is not None)
 
 
 def smoother(solution: Solution, time_s: Array) -> Reference:

@@ -150,12 +150,12 @@ class Solution(Shown):
         checked = self.association_check
         return found if checked is None else [*found, *checked.remarks]
 
-    def _reading(self, one: EdgeReading) -> str:
+    def _reading(self, reading: EdgeReading) -> str:
         """Say how edges fit, and how well."""
         chi2 = self.result.optimality.chi_square.chi2
         return (
-            f"{one.words}: chi-square {rounded(one.chi_square.chi2)} for {one.chi_square.dof} "
-            f"degrees of freedom in place of {rounded(chi2)}"
+            f"{reading.words}: chi-square {rounded(reading.chi_square.chi2)} for "
+            f"{reading.chi_square.dof} degrees of freedom in place of {rounded(chi2)}"
         )
 
     @property
@@ -222,7 +222,7 @@ def solve(
     known = prepared.labelled
     check_memory(prepared)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
-    guesses, own, associator = {}, None, None
+    guesses, association, associator = {}, None, None
     with clock.stage("association"):
         rows = position_rows(timeline, prepared.positions)
         if known:
@@ -231,10 +231,10 @@ def solve(
         else:
             progress("association", 0, 0)
             associator = OwnAssociator(log, timeline, rows)
-            own = associator.associate()
-            landmark_index, problem = own.landmark_index, own.problem
+            association = associator.associate()
+            landmark_index, problem = association.landmark_index, association.problem
             ids = np.arange(problem.landmark_count)
-            guesses["association"] = (own.poses, own.landmarks)
+            guesses["association"] = (association.poses, association.landmarks)
     if not len(ids) and log.loop_closures is None:
         raise InputError(
             f"{log.name}: no measurement could be used, so there is no map to solve for"
@@ -254,10 +254,10 @@ def solve(
         told = misread is None or misread.is_note  # else no sigma means what it says
         unclosed = unclosed_passage(result, estimate.pose_covariance) if told else None
     checked = None
-    if own is not None and associator is not None:
+    if association is not None and associator is not None:
         with clock.stage("association check"):
             progress("association check", 0, 0)
-            checked = _check(prepared, associator, own, result, estimate)
+            checked = _check(prepared, associator, association, result, estimate)
     return Solution(
         prepared=prepared,
         landmark_index=landmark_index,
@@ -274,22 +274,22 @@ def solve(
 def _check(
     prepared: Prepared[SolveConfig],
     associator: OwnAssociator,
-    own: SmootherAssociation,
+    association: SmootherAssociation,
     result: SmootherEvidence,
     estimate: Estimate,
 ) -> AssociationCheck:
     """Compare the association with others of the same measurements, two at a time."""
     problem, clock, ways = result.problem, prepared.clock, variants()
-    given = Optimum.of(own, result)
+    given = Optimum.of(association, result)
     size = problem.pose_count, len(associator.time_s), problem.landmark_count
     second = BackgroundCall(
         associator.alternatives, ways[1::2], given, size=size, pays_from=ASSOCIATION_PAYS_FROM
     )
     with second:
-        found = [*associator.alternatives(ways[::2], given), *second.result()]
+        associations = [*associator.alternatives(ways[::2], given), *second.result()]
     clock.add_cpu("association check", second.cpu_s)
     order = [way.name for way in ways]
-    found.sort(key=lambda one: order.index(one.name))
+    associations.sort(key=lambda association: order.index(association.name))
     dof = problem.residual_dimension - problem.state_dimension
     optimum = (result.poses, estimate.pose_covariance, 2.0 * result.error, dof)
-    return check_association(own.landmark_index, associator.time_s, optimum, found)
+    return check_association(association.landmark_index, associator.time_s, optimum, associations)

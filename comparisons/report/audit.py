@@ -66,10 +66,16 @@ class AuditReport(Report[Audit, Audit]):
     def summary(self) -> Summary:
         """Return what the command prints."""
         audit = self.found
-        wrong = [one.text for one in audit.findings if one.fault]
+        wrong = [finding.text for finding in audit.findings if finding.fault]
         # Where precision explains what is wrong, that goes first.
-        first = [one.text for one in audit.findings if wrong and one.check == "precision"]
-        named = [one.text for one in audit.findings if not one.fault and one.text not in first]
+        first = [
+            finding.text for finding in audit.findings if wrong and finding.check == "precision"
+        ]
+        named = [
+            finding.text
+            for finding in audit.findings
+            if not finding.fault and finding.text not in first
+        ]
         headline = f"verdict: {audit.verdict}"
         if wrong:
             headline += f" ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
@@ -95,7 +101,7 @@ class AuditReport(Report[Audit, Audit]):
     def page(self) -> PageContent:
         """Return what stands on the page."""
         audit = self.found
-        summary, panels = self.summary(), [one for one in audit_panels(audit) if one.curves]
+        summary, panels = self.summary(), [panel for panel in audit_panels(audit) if panel.curves]
         return replace(
             page_of(summary, audit.trace.name),
             reported=_BY_EVENT if panels and not audit.timed else "",
@@ -155,9 +161,11 @@ def audit_panels(audit: Audit) -> list[Panel]:
             )
         )
     panels += [
-        nis_panel(one, EKF_COLOUR, _along(audit, one.windows.event, one.windows.time_s), x_label)
-        for one in audit.sensors
-        if len(one.windows.event) > 1
+        nis_panel(
+            sensor, EKF_COLOUR, _along(audit, sensor.windows.event, sensor.windows.time_s), x_label
+        )
+        for sensor in audit.sensors
+        if len(sensor.windows.event) > 1
     ]
     if audit.learnt is not None and len(audit.learnt.event) > 1:
         at = _along(audit, audit.learnt.event, audit.learnt.time_s)
@@ -174,12 +182,14 @@ def _along(audit: Audit, event: ArrayLike, time_s: ArrayLike) -> Array:
     return found
 
 
-def _spurious_panel(found: Learnt, at: Array, x_label: str) -> Panel:
+def _spurious_panel(information: Learnt, at: Array, x_label: str) -> Panel:
     colours = cycle((EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR))
     curves = (
-        Curve(one.name, colour, at, growth)
-        for one, colour, growth in zip(found.directions, colours, found.growth.T, strict=False)
-        if one.largest is not None
+        Curve(direction.name, colour, at, growth)
+        for direction, colour, growth in zip(
+            information.directions, colours, information.growth.T, strict=False
+        )
+        if direction.largest is not None
     )
     return Panel(
         title="spurious information", x_label=x_label, curves=tuple(curves), bands=(), level=0.0

@@ -156,7 +156,7 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
         ),
         *all_landmarks("all landmarks", smoothed.landmark, marked),
     ]
-    own = Track(
+    track = Track(
         name="estimate",
         colour=EKF_COLOUR,
         dashes="5 3",
@@ -167,26 +167,26 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
     if given.landmark is not None:
         place, spread = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         place[theirs] = given.landmark[ours]
-        own = replace(own, landmark=place[marked])
+        track = replace(track, landmark=place[marked])
         if given.landmark_covariance is not None:
             spread[theirs] = given.landmark_covariance[ours]
-            own = replace(own, landmark_covariance=spread[marked])
+            track = replace(track, landmark_covariance=spread[marked])
         others = np.delete(given.landmark, ours, axis=0)
         beneath += all_landmarks("estimate landmarks without a counterpart", others, ours[:0])
     return MapContent(
         log=solution.log,
         tracks=[
             estimate_track("smoother", SMOOTHER_COLOUR, smoothed, ids),
-            own,
+            track,
             *(
                 Track(
-                    name=one.name.removeprefix("the ").removeprefix("an "),
+                    name=reference.name.removeprefix("the ").removeprefix("an "),
                     colour=colour,
                     dashes="2 2",
-                    time_s=one.time_s,
-                    pose=one.pose,
+                    time_s=reference.time_s,
+                    pose=reference.pose,
                 )
-                for one, colour in filters_compared(check)
+                for reference, colour in filters_compared(check)
             ),
         ],
         keys=ids.tolist(),
@@ -260,7 +260,7 @@ def _grade_words(result: CheckResult) -> str:
 
 
 def _short(result: CheckResult) -> bool:
-    return any(one.gap == "coverage" for one in result.causes) and result.verdict == "disagree"
+    return any(cause.gap == "coverage" for cause in result.causes) and result.verdict == "disagree"
 
 
 def _verdict_words(result: CheckResult) -> str:
@@ -271,7 +271,7 @@ def _verdict_words(result: CheckResult) -> str:
         "like": f"The estimate is like {nearest}: means and covariances differ by at most 5 %.",
         "plausible": "The estimate is within the optimum's own uncertainty.",
         "wrong": "The estimate is wrong: its trace shows a fault."
-        if any(one.gap in FILTER_FAULTS for one in result.causes)
+        if any(cause.gap in FILTER_FAULTS for cause in result.causes)
         else "The estimate is wrong: it is like no reference and far from the optimum.",
         None: "There is no grade: too little of the log is covered."
         if _short(result)
@@ -295,17 +295,17 @@ def _facts(result: CheckResult) -> list[tuple[str, str]]:
     return facts
 
 
-def _nearest(found: Likeness | None) -> NearestResult | None:
-    if found is None:
+def _nearest(likeness: Likeness | None) -> NearestResult | None:
+    if likeness is None:
         return None
-    low, high = found.variances or (None, None)
+    low, high = likeness.variances or (None, None)
     return NearestResult(
-        name=found.reference.name,
-        largest_sigma=finite(found.sigma),
+        name=likeness.reference.name,
+        largest_sigma=finite(likeness.sigma),
         variance_ratio_least=low,
         variance_ratio_largest=None if high is None else finite(high),
-        parts=[part.name for part in found.parts],
-        missing=[*found.missing, *found.unmapped],
+        parts=[part.name for part in likeness.parts],
+        missing=[*likeness.missing, *likeness.unmapped],
     )
 
 
@@ -405,7 +405,7 @@ def check_ladder(result: CheckResult) -> list[LadderStep]:
         near = last.sigma is not None and last.sigma <= LARGEST_DISTANCE
         return [*steps, replace(last, judged=last.judged and (near or last.fails))]
     blocks = [*result.landmarks, *([] if result.last_pose is None else [result.last_pose])]
-    sigma = max((one.distance_sigma for one in blocks), default=None)
+    sigma = max((block.distance_sigma for block in blocks), default=None)
     limit = largest_distance(len(result.landmarks), POINT.width)
     near = sigma is None or sigma <= limit
     is_far = verified and not near and result.verdict == "disagree"  # whatever explains it
@@ -451,21 +451,21 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
     @staticmethod
     def build(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
         """The findings, read being the time that reading log and estimate took."""
-        found, solution = check.agreement, check.solution
+        agreement, solution = check.agreement, check.solution
         return CheckResult(
             smoother=smoother_result(solution.result, solution.estimate),
             association_by=solution.association_by,
             information=check.given.information or NOT_STATED,
             estimator=check.given.estimator,
             absent=check.given.absent,
-            poses=len(found.time_s),
+            poses=len(agreement.time_s),
             coverage=check.coverage.share,
             uncovered_s=check.coverage.holes_s.tolist(),
-            rms_m=found.rms_m,
-            rms_heading_rad=found.rms_heading_rad,
-            outside=found.outside,
-            last_pose=found.last,
-            landmarks=found.landmarks,
+            rms_m=agreement.rms_m,
+            rms_heading_rad=agreement.rms_heading_rad,
+            outside=agreement.outside,
+            last_pose=agreement.last,
+            landmarks=agreement.landmarks,
             estimate_sha256=dict(check.given.sha256),
             trace=check.trace,
             grade=check.grade.value,

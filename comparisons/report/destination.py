@@ -93,7 +93,7 @@ def _changed(config: JobConfig, base: Mapping[str, Any]) -> set[str]:
     """Paths of settings that are not as usual, and of extensions that were asked for."""
     named = config.log.model_dump(include={"source", "format", "sha256"})
     usual = type(config).of(**{**base, "preset": config.preset, "log": named})
-    before, now = (dict(leaves(one.model_dump())) for one in (usual, config))
+    before, now = (dict(leaves(job_config.model_dump())) for job_config in (usual, config))
     changed = {path for path, value in now.items() if (path, value) not in before.items()}
     changed |= {"preset"} if config.preset != "recommended" else set()
     if isinstance(config, Configured):
@@ -106,7 +106,7 @@ def _as_usual(config: Configured, base: Mapping[str, Any]) -> set[str]:
     """Paths of extensions that nobody asked for, and of settings that are as theirs usually are."""
     log, ekf = config.log.model_dump(), config.ekf.model_dump()
     usual = type(config).of(**{**base, "preset": config.preset, "log": log, "ekf": ekf})
-    needed = [one.needs() for one in config.extensions.values()]
+    needed = [extension.needs() for extension in config.extensions.values()]
     found = {
         f"extensions.{name}" for name in {*usual.extensions, *(n for one in needed for n in one)}
     }

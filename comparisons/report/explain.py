@@ -31,7 +31,7 @@ def event_checks() -> list[type[Question[Any]]]:
     """Return the checks of an audit, which a run's page does without."""
     from comparisons.checks.of_events import EVENT_CHECKS
 
-    return [type(one) for one in EVENT_CHECKS]
+    return [type(check) for check in EVENT_CHECKS]
 
 
 def every_explanation() -> dict[str, Explanation]:
@@ -52,7 +52,7 @@ def overview() -> str:
     asked = [(one.name, _question(one)) for one in every_check()]
     own = len(asked) - len(EXTENSIONS)
     checks, more = asked[:own], asked[own:]
-    events = [(one.name, _question(one)) for one in event_checks()]
+    events = [(check.name, _question(check)) for check in event_checks()]
     causes = [(name, one.title) for name, one in every_explanation().items()]
     longest = max(len(name) for name, _ in (*asked, *events, *causes)) + 2
     lines = []
@@ -78,11 +78,11 @@ def explanation(name: str) -> str:
         return composed_faults_in_words()
     checks: list[type[Question[Any]]] = [*every_check(), *event_checks()]
     kinds = every_explanation()
-    parts = ["\n".join(_of_check(one)) for one in checks if _spoken(one.name) == asked]
+    parts = ["\n".join(_of_check(check)) for check in checks if _spoken(check.name) == asked]
     asked = asked.removesuffix(" gap")
     parts += ["\n".join(_of_cause(*one)) for one in kinds.items() if one[0] == asked]
     if not parts:
-        known = ", ".join(dict.fromkeys((*(one.name for one in checks), *kinds, "faults")))
+        known = ", ".join(dict.fromkeys((*(check.name for check in checks), *kinds, "faults")))
         raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
     return "\n\n".join(parts)
 
@@ -131,8 +131,11 @@ def changes_in_words() -> list[str]:
 
     said: dict[str, str] = {}
     for slot in (H, F, Q):
-        for one in compositions(slot, has(slot)):
-            said.setdefault(one.change, one.said(*(number + 0.5 for number in one.start)))
+        for composition in compositions(slot, has(slot)):
+            said.setdefault(
+                composition.change,
+                composition.said(*(number + 0.5 for number in composition.start)),
+            )
     return [
         words for change, words in said.items() if "negated" not in change or change == "negated"
     ]

@@ -143,7 +143,7 @@ def truth_steps(truth: TruthGap | None, failed: Collection[str]) -> list[LadderS
     """Return the gap between the smoother and the truth, by what is farthest off; none without."""
     if truth is None or not truth.distances:
         return []
-    worst = max(truth.distances, key=lambda one: (one.sigma or 0.0) / one.limit)
+    worst = max(truth.distances, key=lambda distance: (distance.sigma or 0.0) / distance.limit)
     return [
         LadderStep(
             gap="truth",

@@ -151,9 +151,9 @@ def _learnt(known: Known, name: str) -> Panel | None:
 def further_estimates(comparison: Comparison) -> list[tuple[str, str, Estimate]]:
     """Name, colour and estimate of each that extensions found."""
     found = [
-        (one.titles.get(folder, folder), estimate)
-        for one in comparison.findings.values()
-        for folder, estimate in one.estimates.items()
+        (finding.titles.get(folder, folder), estimate)
+        for finding in comparison.findings.values()
+        for folder, estimate in finding.estimates.items()
     ]
     return [
         (name, _FURTHER[i % len(_FURTHER)], estimate) for i, (name, estimate) in enumerate(found)
@@ -271,7 +271,11 @@ def _by_smoother(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | Non
 def filters_compared(check: ExternalCheck) -> list[tuple[Reference, str]]:
     """Reference filters that the estimate was compared with, and colours: EKF, nearer variant."""
     nearest = [] if check.grade.by is None else [check.grade.by.reference]
-    found = {one.name: one for one in (*check.peers, *nearest) if not one.smoothed}
+    found = {
+        reference.name: reference
+        for reference in (*check.peers, *nearest)
+        if not reference.smoothed
+    }
     return list(zip(found.values(), cycle(REFERENCE_COLOURS)))
 
 
@@ -370,10 +374,12 @@ def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:
     if not series:
         return None
     curves = []
-    for i, one in enumerate(series):
-        lag = np.arange(1.0, len(one.autocorrelation) + 1.0)
-        name = f"{one.component}, by {one.order}"
-        curves.append(Curve(name, _COLOURS[i % len(_COLOURS)], lag, np.array(one.autocorrelation)))
+    for i, whiteness in enumerate(series):
+        lag = np.arange(1.0, len(whiteness.autocorrelation) + 1.0)
+        name = f"{whiteness.component}, by {whiteness.order}"
+        curves.append(
+            Curve(name, _COLOURS[i % len(_COLOURS)], lag, np.array(whiteness.autocorrelation))
+        )
     lags = np.array((1.0, max(curve.x[-1] for curve in curves)))
     widest = np.full(2, max(max(one.band) for one in series))
     band = FilledBand(name="95 % band", colour="#999999", x=lags, low=-widest, high=widest)

@@ -58,28 +58,28 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
 def smoother_rows(smoother: SmootherResult) -> list[Row]:
     """Return the smoother, and the evidence for its optimum."""
     optimum = "verified" if smoother.verified else f"NOT verified: {smoother.lacks}"
-    found = [
+    rows = [
         Row("Smoother", "optimum", optimum, "verified", smoother.verified),
         *rows_of("Smoother", smoother, ["poses", "error"]),
         _chi_square(smoother),
         *(
-            Row("Smoother", f"error reached from the start {one.name}", shown(one.error, ".2f"))
-            for one in smoother.starts
-            if not one.name.startswith("random")
+            Row("Smoother", f"error reached from the start {start.name}", shown(start.error, ".2f"))
+            for start in smoother.starts
+            if not start.name.startswith("random")
         ),
     ]
     if smoother.random_starts:
-        found += rows_of("Smoother", smoother, ["random_starts", "chance_missed"])
+        rows += rows_of("Smoother", smoother, ["random_starts", "chance_missed"])
     if smoother.hops:
-        found += rows_of("Smoother", smoother, ["hops"])
-    found += _second_minimum(smoother)
+        rows += rows_of("Smoother", smoother, ["hops"])
+    rows += _second_minimum(smoother)
     if smoother.method != "batch":
         far = f"largest distance of the {smoother.method} estimate from the optimum"
-        found.append(Row("Smoother", far, in_sigma(smoother.distance_sigma)))
+        rows.append(Row("Smoother", far, in_sigma(smoother.distance_sigma)))
     if smoother.robust != "none":
         left_out = ["robust", "rejected_measurements", "rejected_positions"]
-        found += rows_of("Smoother", smoother, left_out)
-    return found
+        rows += rows_of("Smoother", smoother, left_out)
+    return rows
 
 
 def _chi_square(smoother: SmootherResult) -> Row:
@@ -156,7 +156,7 @@ def block_rows(part: str, whose: str, block: BlockAgreement, limits: str = "") -
     ]
     if block.variance_ratio_least is not None:
         ends = (block.variance_ratio_least, block.variance_ratio_largest)
-        ratios = band(*(shown(one, ".3g") for one in ends))
+        ratios = band(*(shown(end, ".3g") for end in ends))
         rows.append(Row(group, f"variances, {whose} over smoother", ratios, limits))
     return rows
 
@@ -165,7 +165,7 @@ def agreeing(blocks: Sequence[BlockAgreement], whose: str) -> list[Row]:
     """Return how many landmarks agree, if there are any. whose: as `EKF`."""
     if not blocks:
         return []
-    count = sum(one.agrees for one in blocks)
+    count = sum(block.agrees for block in blocks)
     value = f"{count} of {len(blocks)}"
     group, name = f"Map, {whose} and smoother", "landmarks that agree"
     return [Row(group, name, value, "all", count == len(blocks))]

@@ -134,13 +134,13 @@ class RunReport(Report[Comparison, Result]):
         """Return what stands on the page. pictures: files of those that have been drawn."""
         result, panels = self.result, self.panels
         c, a = self.found, result.agreement.landmarks
-        ekf, found = c.ekf.estimate, c.findings.values()
+        ekf, view = c.ekf.estimate, c.findings.values()
         marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
         labelled = c.prepared.labelled
         errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
         names = ekf.names
         rows = [LandmarkRow(str(a[i].id), names[i], a[i], errors[i]) for i in marked.tolist()]
-        scan = [row for one in found for row in one.landmarks()]
+        scan = [row for finding in view for row in finding.landmarks()]
         rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
         inconsistent = "; ".join(result.inconsistent or ())
         curves = panels.reported, panels.every
@@ -165,7 +165,7 @@ class RunReport(Report[Comparison, Result]):
                         for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
                     },
                 ),
-                *(section for one in found for section in one.sections()),
+                *(section for finding in view for section in finding.sections()),
             ],
             landmarks=rows,
             landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
@@ -174,8 +174,8 @@ class RunReport(Report[Comparison, Result]):
     def folder(self) -> JobFolder:
         """Return what is to be written."""
         c, config = self.found, self.found.prepared.config
-        found = c.findings.values()
-        own = {name: figure for one in found for name, figure in one.figures().items()}
+        view = c.findings.values()
+        own = {name: figure for finding in view for name, figure in finding.figures().items()}
 
         def write(path: Path) -> None:
             pictures = [path.with_name(f"{name}.png") for name in own]
@@ -194,7 +194,11 @@ class RunReport(Report[Comparison, Result]):
             estimates={
                 "ekf": c.ekf.estimate,
                 "smoother": c.smoothed,
-                **{name: estimate for one in found for name, estimate in one.estimates.items()},
+                **{
+                    name: estimate
+                    for finding in view
+                    for name, estimate in finding.estimates.items()
+                },
             },
             formats=config.report.figures,
             figures={**(_figures(c, self.panels) if config.report.figures else {}), **own},
@@ -276,7 +280,10 @@ def run_map(c: Comparison, marked: Index) -> MapContent:
         tracks=[
             estimate_track("smoother", SMOOTHER_COLOUR, smoothed, ids),
             estimate_track("EKF", EKF_COLOUR, ekf, ids, "5 3"),
-            *(estimate_track(name, colour, one, ids, "2 2") for name, colour, one in more),
+            *(
+                estimate_track(name, colour, estimate, ids, "2 2")
+                for name, colour, estimate in more
+            ),
         ],
         keys=ids.tolist(),
         labels=[
@@ -293,5 +300,5 @@ def run_map(c: Comparison, marked: Index) -> MapContent:
             associations(ekf, c.ekf.timeline.measurement_epoch, c.ekf.landmark_index),
             *all_landmarks("all landmarks", ekf.landmark, marked),
         ],
-        above=[one.layers for one in c.findings.values()],
+        above=[finding.layers for finding in c.findings.values()],
     )

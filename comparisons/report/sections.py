@@ -84,7 +84,7 @@ def optimum_findings(
 ) -> dict[str, Any]:
     """Return the same for an optimum with which no filter is compared, and all remarks."""
     against = against_optimum(known.value(TruthGapFinding), known.value(UnusedPositionsFinding))
-    said = [f"{cause_name(one.gap)}: {one.evidence}" for one in against.values()]
+    said = [f"{cause_name(cause.gap)}: {cause.evidence}" for cause in against.values()]
     return {
         **found_entries(known, result),
         "qualifiers": list(against),

@@ -63,7 +63,9 @@ def setting_lines(
 
     settings: what documents state at other values. ekf: as of settings_result.
     """
-    stated = {} if settings is None else {one.setting: one for one in settings.differing}
+    stated = (
+        {} if settings is None else {setting.setting: setting for setting in settings.differing}
+    )
     chosen = {} if ekf is None else {f"ekf.{key}": value for key, value in ekf}
     lines = []
     for path, value, usual, meaning in _leaves(config):
@@ -111,7 +113,7 @@ def settings_result(
     given["log"]["format"] = log_format
     if ekf is not None:
         given["ekf"] = ekf.model_dump(mode="python")
-    found = [
+    settings = [
         DifferingSetting(
             setting=row.at,
             value=row.absent if value is None else _in_json(value),
@@ -120,7 +122,7 @@ def settings_result(
         )
         for row, value in differing(given, setting_default)
     ]
-    return SettingsResult(preset=config.preset, differing=found)
+    return SettingsResult(preset=config.preset, differing=settings)
 
 
 def _in_json(value: Any) -> Any:
@@ -133,7 +135,12 @@ def settings_rows(settings: SettingsResult) -> list[Row]:
     return [
         Row(SETTINGS, "preset", settings.preset),
         *(
-            Row(SETTINGS, one.setting, shown(one.value), f"{shown(one.document)} in {one.place}")
-            for one in settings.differing
+            Row(
+                SETTINGS,
+                setting.setting,
+                shown(setting.value),
+                f"{shown(setting.document)} in {setting.place}",
+            )
+            for setting in settings.differing
         ),
     ]

@@ -88,13 +88,13 @@ def side_by_side(results: Sequence[ComparedResult], only: Sequence[str] = ()) ->
     only: patterns of the figures that are wanted instead, whether they differ or not; one without
     a wildcard is a part of the name. Raises InputError for one that none has.
     """
-    names = dict.fromkeys(name for found in results for name in found.words)
+    names = dict.fromkeys(name for result in results for name in result.words)
     rows: list[Row] = []
     for name in names:
-        words = [found.words.get(name, "") for found in results]
+        words = [result.words.get(name, "") for result in results]
         if name != "job" or len(set(words)) > 1:
             rows.append((name, list(words)))
-    figures = dict.fromkeys(name for found in results for name in found.metrics)
+    figures = dict.fromkeys(name for result in results for name in result.metrics)
     wanted = [pattern if "*" in pattern else f"*{pattern}*" for pattern in only]
     for pattern, given in zip(wanted, only, strict=True):
         if not any(fnmatchcase(name, pattern) for name in figures):
@@ -104,7 +104,7 @@ def side_by_side(results: Sequence[ComparedResult], only: Sequence[str] = ()) ->
                 f"--only {shorten(given)}: no figure is called so, expected some of {known}"
             )
     for name in figures:
-        values = [found.metrics.get(name) for found in results]
+        values = [result.metrics.get(name) for result in results]
         chosen = any(fnmatchcase(name, pattern) for pattern in wanted)
         if chosen if wanted else not _alike(values):
             rows.append((name, list(values)))
@@ -178,8 +178,8 @@ def _read(folder: Path) -> ComparedResult:
     else:
         every = dict(numbers({names.get(key, key): one for key, one in found.items()}, None))
     figures = {
-        name: one.value
-        for name, one in every.items()
+        name: number.value
+        for name, number in every.items()
         if name not in _LEFT_OUT and name.partition(".")[0] not in _ASIDE
     }
     return ComparedResult(words, figures)

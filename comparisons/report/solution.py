@@ -41,7 +41,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
         s = solution
         remarks = [*([FRAME] if s.log.prior.open else []), *s.notes, *s.open_loops]
         if not s.is_misread:
-            remarks += [one for one in s.known.remarks if one not in s.lacks]
+            remarks += [remark for remark in s.known.remarks if remark not in s.lacks]
         return SolutionResult(
             association_by=s.association_by,
             landmarks=len(s.estimate.landmark),

@@ -179,10 +179,10 @@ def comparison_tables(c: Comparison) -> Tables:
 @tables.register
 def check_tables(c: ExternalCheck) -> Tables:
     """Return what `ExternalCheck.to_pandas` offers."""
-    given, found = c.given, c.agreement
+    given, agreement = c.given, c.agreement
 
     def landmarks() -> Columns:
-        return [_landmark(block) for block in found.landmarks]
+        return [_landmark(block) for block in agreement.landmarks]
 
     return {
         "gaps": lambda: [asdict(step) for step in check_ladder(CheckReport.build(c))],
@@ -206,10 +206,10 @@ def solution_tables(s: Solution) -> Tables:
 def _nees(estimates: Mapping[str, TruthConsistency | None]) -> Columns:
     """NEES of the poses by instant, with the 95 % band of one value."""
     rows = []
-    for name, found in estimates.items():
-        if found is None or found.poses is None:
+    for name, consistency in estimates.items():
+        if consistency is None or consistency.poses is None:
             continue
-        p = found.poses
+        p = consistency.poses
         band = p.pose.single_band
         at = p.time_s[p.pose.row].tolist()
         rows += [
@@ -222,10 +222,10 @@ def _nees(estimates: Mapping[str, TruthConsistency | None]) -> Columns:
 def _nis(sensors: Sequence[SensorInnovations]) -> Columns:
     """Mean NIS over stretches of the run, by sensor, each with its 95 % band."""
     return [
-        {"sensor": one.sensor, "time_s": t, "nis": mean, "low": low, "high": high}
-        for one in sensors
+        {"sensor": sensor.sensor, "time_s": t, "nis": mean, "low": low, "high": high}
+        for sensor in sensors
         for t, mean, low, high in np.column_stack(
-            (one.windows.time_s, one.windows.mean, one.windows.low, one.windows.high)
+            (sensor.windows.time_s, sensor.windows.mean, sensor.windows.low, sensor.windows.high)
         ).tolist()
     ]
 

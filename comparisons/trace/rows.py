@@ -78,7 +78,7 @@ class StoredRow(NamedTuple):
 
 def batch_rows(batch: Batch, first: int) -> Iterable[StoredRow]:
     """Yield the rows of a batch. first: number of its first event."""
-    cells: list[Cell | None] = [Cell(one) for one in batch.arrays]
+    cells: list[Cell | None] = [Cell(array) for array in batch.arrays]
     cells.append(None)  # for -1
     names = [*map(distinct, batch.texts), None]
     said = [*batch.texts, None]
@@ -88,7 +88,7 @@ def batch_rows(batch: Batch, first: int) -> Iterable[StoredRow]:
     ):
         kind, count = columns[at]
         time = None if time_s != time_s else time_s
-        own = tuple([cells[one] for one in matrices[:count]])
+        own = tuple([cells[matrix] for matrix in matrices[:count]])
         yield StoredRow(number, kind, time, names[blocks], said[text], used, own)
 
 
@@ -202,8 +202,8 @@ class EventReader:
     def _augment(self, row: StoredRow) -> Augment:
         n = self._on(row)
         name, d, chart = self._new(row)
-        own = row.cells[1]
-        known = own is not None and own.matrix is not None
+        cell = row.cells[1]
+        known = cell is not None and cell.matrix is not None
         m = math.isqrt(len(self._flat(row, 1))) if known else len(self._flat(row, 2)) // d
         g_x, g_z = self._shaped(row, 0, d, n), self._shaped(row, 2, d, m)
         r = self._covariance(row, 1, "noise (R)", m)
@@ -312,36 +312,36 @@ class EventReader:
         self, row: StoredRow, column: int, name: str, n: int, *, definite: bool = False
     ) -> Array:
         """A covariance (n, n), which is checked with others; NaN where it is no finite numbers."""
-        own, flag = row.cells[column], 1 + definite
-        if own is not None and own.matrix is None:
+        cell, flag = row.cells[column], 1 + definite
+        if cell is not None and cell.matrix is None:
             unknown = np.full((n, n), np.nan)
             self._faults[id(unknown), definite] = unknown, f"{name} {_NO_NUMBERS}"
             return unknown
         found = self._shaped(row, column, n, n)
-        if own is not None and not own.checked & flag and found.size:
-            own.checked |= flag
+        if cell is not None and not cell.checked & flag and found.size:
+            cell.checked |= flag
             self._unchecked.append((row.number, name, definite, found, row.blocks or ()))
         return found
 
     def _shaped(self, row: StoredRow, column: int, *shape: int) -> Array:
         """A matrix, the same one each time that it is stored once."""
-        own = row.cells[column]
-        if own is None or own.matrix is None:
+        cell = row.cells[column]
+        if cell is None or cell.matrix is None:
             self._refuse_cell(row, column)
-        if own.matrix.shape != shape:
-            if own.matrix.size != math.prod(shape):
+        if cell.matrix.shape != shape:
+            if cell.matrix.size != math.prod(shape):
                 name, expected = COLUMNS[row.kind][column], " x ".join(map(str, shape))
-                fault = f"{name} has {own.matrix.size} numbers, expected {expected}"
+                fault = f"{name} has {cell.matrix.size} numbers, expected {expected}"
                 self._refuse(row.number, fault)
-            own.matrix = own.matrix.reshape(shape)
-        return own.matrix
+            cell.matrix = cell.matrix.reshape(shape)
+        return cell.matrix
 
     def _flat(self, row: StoredRow, column: int) -> Array:
         """The numbers (n,) of a matrix."""
-        own = row.cells[column]
-        if own is None or own.matrix is None:
+        cell = row.cells[column]
+        if cell is None or cell.matrix is None:
             self._refuse_cell(row, column)
-        return own.matrix.reshape(-1)
+        return cell.matrix.reshape(-1)
 
     def _refuse_cell(self, row: StoredRow, column: int) -> NoReturn:
         """Refuse an event without the numbers of a matrix."""

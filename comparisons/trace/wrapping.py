@@ -145,7 +145,7 @@ class _Unscented(_Linear):
 
         def done() -> FilterStep:
             assert self.moved is not None  # noqa: S101 - a prediction moves points
-            apart = np.array([f.residual_x(one, x) for one in points])
+            apart = np.array([f.residual_x(point, x) for point in points])
             after = np.array([f.residual_x(one, f.x) for one in self.moved])
             return FilterStep(*_regression(p, (apart.T * f.Wc) @ after, f.P))
 

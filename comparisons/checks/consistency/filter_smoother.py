@@ -101,7 +101,7 @@ def filter_against_smoother(
     squared, dof, ratio = normalised_difference(
         e, filtered_covariance[row], smoothed_covariance[row]
     )
-    clear, found = dof > 0, averaged(squared, dof, np.arange(len(dof)))
+    clear, average = dof > 0, averaged(squared, dof, np.arange(len(dof)))
     low, high = (chi2_quantile(q, dof[clear]) for q in (0.025, 0.975))
     within = (squared[clear] >= low) & (squared[clear] <= high)
     overconfident = np.flatnonzero(ratio < LEAST_RATIO)
@@ -109,7 +109,7 @@ def filter_against_smoother(
     return FilterAgainstSmoother(
         epochs=len(row),
         squared_per_dof=float(squared.sum() / dof.sum()) if clear.any() else None,
-        band=None if found is None else found.band,
+        band=None if average is None else average.band,
         inside=float(np.mean(within)) if clear.any() else None,
         least_ratio=None if worst is None else float(ratio[worst]),
         least_ratio_s=None if worst is None else float(time_s[row[worst]]),
@@ -117,7 +117,7 @@ def filter_against_smoother(
         overconfident_since_s=float(time_s[row[overconfident[0]]]) if len(overconfident) else None,
         unusable=counted(fault),
         departure=_departure(
-            found,
+            average,
             time_s[row],
             (e, filtered_covariance[row], smoothed_covariance[row]),
             (squared, dof),
@@ -133,7 +133,7 @@ def filter_against_smoother(
 
 
 def _departure(
-    found: Averaged | None,
+    average: Averaged | None,
     time_s: Array,
     compared: tuple[Array, Array, Array],
     whole: tuple[Array, Index],
@@ -142,7 +142,7 @@ def _departure(
 
     compared: difference, filtered and smoothed covariance of the poses. whole: squared, dof.
     """
-    if found is None or found.band.holds(found.mean):
+    if average is None or average.band.holds(average.mean):
         return None
     e, filtered, smoothed = compared
     blocks = {

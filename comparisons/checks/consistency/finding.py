@@ -62,13 +62,15 @@ class ExternalConsistencyResult(Model):
 class ConsistencyFinding(Of[Consistency]):
     """What of a filter is outside its band, and what is within."""
 
-    def __init__(self, found: Consistency, name: str = "EKF") -> None:
+    def __init__(self, consistency: Consistency, name: str = "EKF") -> None:
         """found: by truth, innovations and smoother. name: of what is judged, in rows."""
-        self.name, self.result = name, consistency_result(found)
-        super().__init__(found, remarks=found.remarks, entries={"consistency": self.result})
-        if isinstance(found, ExternalConsistency):
-            self.entries = {"consistency": external_consistency_result(found)}
-        self.lines = consistency_lines(inconsistencies(found), self.result)
+        self.name, self.result = name, consistency_result(consistency)
+        super().__init__(
+            consistency, remarks=consistency.remarks, entries={"consistency": self.result}
+        )
+        if isinstance(consistency, ExternalConsistency):
+            self.entries = {"consistency": external_consistency_result(consistency)}
+        self.lines = consistency_lines(inconsistencies(consistency), self.result)
 
     def rows(self) -> Sequence[Row]:
         """Return NEES of both estimators, NIS by sensor, and the filter by the smoother."""

@@ -75,9 +75,10 @@ def of_poses(given: Array, poses: PoseCovariances, name: str) -> str:
     if wrong := invalid(given):
         return f"your pose covariances are invalid: {wrong}"
     for words, expected, scaled in _pose_candidates(poses):
-        found = fit(given, expected, scaled=scaled)
-        if found is not None:
-            return f"your pose covariances {_are(words, found.factor, name)}{_but(found)}"
+        covariance_fit = fit(given, expected, scaled=scaled)
+        if covariance_fit is not None:
+            said = _are(words, covariance_fit.factor, name)
+            return f"your pose covariances {said}{_but(covariance_fit)}"
     if len(given) > 2 and np.ptp(given, axis=0).max() <= 1e-9 * np.abs(given).max():
         return "your pose covariances are the same for all poses"
     diagonal = np.arange(3)
@@ -107,9 +108,10 @@ def of_landmarks(
         (framed, _turned(expected, np.array([heading]))),
         *_common(expected),
     ):
-        found = fit(given, other)
-        if found is not None:
-            return f"your landmark covariances {_are(words, found.factor, name)}{_but(found)}"
+        covariance_fit = fit(given, other)
+        if covariance_fit is not None:
+            said = _are(words, covariance_fit.factor, name)
+            return f"your landmark covariances {said}{_but(covariance_fit)}"
     order = _shuffled(given, expected)
     if order:
         return f"your landmark covariances are those of other landmarks: {order}"
@@ -135,10 +137,10 @@ def of_all(given: Array, expected: Array, name: str) -> str:
         ("without any cross-covariances", expected * same),
         ("with cross-covariances of pose and landmarks of opposite sign", expected * flipped),
     ):
-        found = fit(given[None], other[None])
-        if found is not None and not (words == "" and found.factor == 1.0):
+        covariance_fit = fit(given[None], other[None])
+        if covariance_fit is not None and not (words == "" and covariance_fit.factor == 1.0):
             if not words:
-                return of_everything(found.factor, name)
+                return of_everything(covariance_fit.factor, name)
             return f"your covariance of last pose and landmarks is that of {name} {words}"
     low, high = eigenvalues(given[None], expected[None])
     return (
@@ -227,14 +229,14 @@ def _are(words: str, factor: float, name: str) -> str:
     return f"are {words}, and {times(factor)} times those of {name}"
 
 
-def _but(found: CovarianceFit) -> str:
+def _but(covariance_fit: CovarianceFit) -> str:
     """Which ones do not fit."""
-    count = int(found.exceptions.sum())
+    count = int(covariance_fit.exceptions.sum())
     if not count:
         return ""
-    which = f"{count} of {len(found.exceptions)}"
-    if count == 1 and (found.exceptions[-1] or found.exceptions[0]):
-        which = "the last" if found.exceptions[-1] else "the first"
+    which = f"{count} of {len(covariance_fit.exceptions)}"
+    if count == 1 and (covariance_fit.exceptions[-1] or covariance_fit.exceptions[0]):
+        which = "the last" if covariance_fit.exceptions[-1] else "the first"
     return f", all but {which}"
 
 

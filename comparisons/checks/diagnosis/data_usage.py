@@ -60,7 +60,7 @@ def data_faults(
 
     labelled: the filter was to go by the log's labels. timed: when it used them is asked for.
     """
-    trace, timeline, found = run.trace, run.timeline, []
+    trace, timeline, faults = run.trace, run.timeline, []
     uses = trace.measurements[POINT], trace.initialisations[POINT]
     for kind, records, epoch in (
         ("measurements", uses, timeline.measurement_epoch),
@@ -72,14 +72,14 @@ def data_faults(
         )
         if timed:
             late = step - timeline.steps_until()[epoch[number]]
-            found += untimely(kind, late, 0.0, "{} odometry steps")
+            faults += untimely(kind, late, 0.0, "{} odometry steps")
         entries = np.concatenate([use.entries[use.number >= 0] for use in records])
-        found += _counted(kind, number, weight[:, None] * entries)
+        faults += _counted(kind, number, weight[:, None] * entries)
     if labelled:
         label = log.measurements.landmark[: len(run.landmark_index)]
-        found += _labels(label, run.landmark_index) or _names(label, run)
-        found += _gated(log, run, smoothed)
-    return tuple(found)
+        faults += _labels(label, run.landmark_index) or _names(label, run)
+        faults += _gated(log, run, smoothed)
+    return tuple(faults)
 
 
 def untimely(kind: str, late: Array | Index, most: float, form: str) -> list[DataFault]:
@@ -152,7 +152,7 @@ def _names(label: NDArray[np.int64], run: EkfRun) -> list[DataFault]:
     pairs = np.unique(np.column_stack((label[other], name[other])), axis=0).tolist()
     if not pairs:
         return []
-    listed = ", ".join(f"those of label {one} to landmark {named}" for one, named in pairs[:4])
+    listed = ", ".join(f"those of label {pair} to landmark {named}" for pair, named in pairs[:4])
     return [
         DataFault(
             f"the measurements of {len(pairs)} labels are assigned to a landmark of another id: "

@@ -77,7 +77,7 @@ def model_departure(
     given: ExternalEstimate, differences: Sequence[ModelDifference], log: Log
 ) -> Departure | None:
     """Return where a trace's relations first differ from the log's models; None if untold."""
-    timed = [one for one in differences if one.first_s is not None]
+    timed = [difference for difference in differences if difference.first_s is not None]
     if not timed:
         return None
     # Of one instant the prediction comes first.

@@ -197,8 +197,8 @@ def diagnose(references: Sequence[Paths]) -> Diagnosis:
     if len(references[0].time_s) < FEWEST:
         return diagnosis
     paths, motion = simplest_motion(references)
-    for explained, one in _headings(paths, motion):
-        (diagnosis.whole if explained else diagnosis.partly).append(one)
+    for explained, heading in _headings(paths, motion):
+        (diagnosis.whole if explained else diagnosis.partly).append(heading)
     left = motion.left_m / paths.rms_m if paths.rms_m > _NO_MATTER_M else np.inf
     if motion.gap and left <= _EXPLAINS:
         said = (
@@ -220,7 +220,9 @@ def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, PathMotion]:
 
     references: as of `diagnose`. Its gap is empty where no motion is simplest.
     """
-    found: list[tuple[Paths, list[PathMotion]]] = [(one, list(_motions(one))) for one in references]
+    found: list[tuple[Paths, list[PathMotion]]] = [
+        (reference, list(_motions(reference))) for reference in references
+    ]
     paths, motions = min(found, key=lambda pair: min(m.square for m in pair[1]))
     motion = _simplest(motions) if paths.rms_m > _NO_MATTER_M else motions[0]
     if motion.gap in ("", "frame", "time"):
@@ -230,12 +232,12 @@ def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, PathMotion]:
     return paths, motion
 
 
-def frame_at_start(paths: Paths, found: PathMotion) -> PathMotion:
+def frame_at_start(paths: Paths, motion: PathMotion) -> PathMotion:
     """Return the frame in which a path starts where the reference does, whatever follows.
 
-    found: the frame, or the vehicle's, that fits all of the path.
+    motion: the frame, or the vehicle's, that fits all of the path.
     """
-    arm, yaw = found.moved.arm, found.moved.yaw_rad
+    arm, yaw = motion.moved.arm, motion.moved.yaw_rad
     a = complex(np.exp(1j * (paths.pose[0, 2] - paths.reference[0, 2] - yaw)))
     start = complex(paths.v[0] + arm * np.exp(1j * paths.reference[0, 2]))
     return _of_frame(paths, PathTransform(a, complex(paths.u[0] - a * start), arm=arm, yaw_rad=yaw))
@@ -265,19 +267,19 @@ def _simplest(motions: Sequence[PathMotion]) -> PathMotion:
     What all of them leave adds to both: the covariance, unless one fits as only a path of the
     same estimator does.
     """
-    best = min(one.square for one in motions)
+    best = min(motion.square for motion in motions)
     open_square = _LIKE if best <= _EQUAL else 1.0
 
-    def better(more: PathMotion, one: PathMotion) -> bool:
-        added, left = more.free - one.free, _INDEPENDENT - more.free
+    def better(more: PathMotion, motion: PathMotion) -> bool:
+        added, left = more.free - motion.free, _INDEPENDENT - more.free
         limit = 1.0 + added * f_quantile(_SURE, added, left) / left
-        return one.square + open_square > limit * (more.square + open_square)
+        return motion.square + open_square > limit * (more.square + open_square)
 
-    ranked = sorted(motions, key=lambda one: (one.free, one.square))
+    ranked = sorted(motions, key=lambda motion: (motion.free, motion.square))
     return next(
-        one
-        for one in ranked
-        if not any(more.free > one.free and better(more, one) for more in ranked)
+        motion
+        for motion in ranked
+        if not any(more.free > motion.free and better(more, motion) for more in ranked)
     )
 
 
@@ -287,10 +289,17 @@ def _within(motions: Sequence[PathMotion], found: PathMotion) -> PathMotion:
     For that was found as if all that the covariance allows were open, and only a frame is.
     motions: the first leaves all as it is.
     """
-    alone = [one for one in motions if one.gap in ("time", "scale", "lever") and one.free <= 2]
-    for one in sorted(alone, key=lambda one: (one.free, one.left_m)):
-        if one.left_m <= _PARTLY * motions[0].left_m and one.left_m < _CLEARLY_LESS * found.left_m:
-            found = one
+    alone = [
+        motion
+        for motion in motions
+        if motion.gap in ("time", "scale", "lever") and motion.free <= 2
+    ]
+    for motion in sorted(alone, key=lambda one: (one.free, one.left_m)):
+        if (
+            motion.left_m <= _PARTLY * motions[0].left_m
+            and motion.left_m < _CLEARLY_LESS * found.left_m
+        ):
+            found = motion
     return found
 
 

@@ -53,7 +53,7 @@ class Dropouts:
     @property
     def worst(self) -> Dropout | None:
         """The one over which the position's sigma grew the most."""
-        return max(self.stretches, key=lambda one: one.growth, default=None)
+        return max(self.stretches, key=lambda stretch: stretch.growth, default=None)
 
 
 def find_dropouts(run: EkfRun, smoothed: Estimate) -> Dropouts:

@@ -77,9 +77,11 @@ class Duplicate:
 
 def duplicate_cause(found: list[Duplicate]) -> Cause:
     """Return the cause that names landmarks which are in the map twice."""
-    listed = "; ".join(str(one) for one in found[:_NAMED])
+    listed = "; ".join(str(duplicate) for duplicate in found[:_NAMED])
     several = f"{len(found)} landmarks are" if len(found) > 1 else "1 landmark is"
-    wrapped = any(one.beginning is not None and one.beginning.turns for one in found)
+    wrapped = any(
+        duplicate.beginning is not None and duplicate.beginning.turns for duplicate in found
+    )
     hint = (
         "check the association, which begins a landmark that is in the map already"
         if not wrapped
@@ -188,19 +190,21 @@ def _beginning(
     """
     (first, second), new = pair, run.trace.initialisations[POINT]
     row = _row(new, second)
-    number, step, seen = int(new.number[row]), int(new.step[row]), log.measurements
+    number, step, measurements = int(new.number[row]), int(new.step[row]), log.measurements
     state.run_to(step)
     columns = state.layout.columns(np.array([first]))
     mean, covariance = state.mean[columns], state.covariance[np.ix_(columns, columns)]
     predicted = RangeBearing().predict(mean[:3], mean[None, 3:])
     h = np.concatenate((predicted.jacobian_pose[0], predicted.jacobian_landmark[0]), axis=1)
-    sigma = np.array((seen.sigma_range_m[number], seen.sigma_bearing_rad[number]))
-    apart = np.array((seen.range_m[number], seen.bearing_rad[number])) - predicted.z[0]
+    sigma = np.array((measurements.sigma_range_m[number], measurements.sigma_bearing_rad[number]))
+    apart = (
+        np.array((measurements.range_m[number], measurements.bearing_rad[number])) - predicted.z[0]
+    )
     short = np.array((apart[0], float(wrap_angle(apart[1]))))
     spread = h @ covariance @ h.T + np.diag(sigma**2)
     if not float(short @ np.linalg.solve(spread, short)) <= _FITS:
         return None
-    bearing_rad = float(seen.bearing_rad[number])
+    bearing_rad = float(measurements.bearing_rad[number])
     arrived = run.trace.arrived[step - 1] if step else run.trace.prior_pose
     turns = (
         _turns(bearing_rad, float(RangeBearing().predict(pose, mean[None, 3:]).z[0, 1]))

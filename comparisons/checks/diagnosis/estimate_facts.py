@@ -55,33 +55,33 @@ class Clues:
     closed: bool
 
 
-def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+def facts(given: ExternalEstimate, likeness: Likeness, clues: Clues) -> list[Cause]:
     """Name all that keeps an estimate from being like a reference; none where it is.
 
     given: its poses at the reference's times, and no others.
     """
-    if found.grade is not None:
+    if likeness.grade is not None:
         return []
-    causes, partly = _means(given, found, clues)
-    covariances = _covariances(given, found, clues)
-    valid = not any(signatures.invalid(own) for own, _ in _pairs(given, found).values())
+    causes, partly = _means(given, likeness, clues)
+    covariances = _covariances(given, likeness, clues)
+    valid = not any(signatures.invalid(pair) for pair, _ in _pairs(given, likeness).values())
     causes = [*causes, *covariances] if valid else [*covariances, *causes]
-    if found.missing:
-        causes.append(Cause("coverage", "; ".join(found.missing), "supply the whole trajectory"))
-    if found.unmapped:
-        causes.append(Cause("map", "; ".join(found.unmapped), _map_hint(given, found)))
+    if likeness.missing:
+        causes.append(Cause("coverage", "; ".join(likeness.missing), "supply the whole trajectory"))
+    if likeness.unmapped:
+        causes.append(Cause("map", "; ".join(likeness.unmapped), _map_hint(given, likeness)))
     return causes + partly
 
 
-def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
+def _map_hint(given: ExternalEstimate, likeness: Likeness) -> str:
     """Hand it in, or under the log's ids where it lies at landmarks of others."""
-    reference = found.reference
-    others = np.setdiff1d(np.arange(len(reference.landmark)), found.theirs)
+    reference = likeness.reference
+    others = np.setdiff1d(np.arange(len(reference.landmark)), likeness.theirs)
     if given.landmark is None or given.landmark_id is None or not len(others):
         return _MAP_HINT
     place, pairs = reference.landmark[others], []
     names = [reference.landmark_name(row) for row in others.tolist()]
-    for row in np.setdiff1d(np.arange(len(given.landmark)), found.ours):
+    for row in np.setdiff1d(np.arange(len(given.landmark)), likeness.ours):
         apart = np.linalg.norm(place - given.landmark[row], axis=1)
         if apart.min() <= _AT_M:
             pairs.append(f"{given.landmark_id[row]} at landmark {names[apart.argmin()]}")
@@ -91,21 +91,21 @@ def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
     return f"use the log's ids: {len(pairs)} landmarks have another id in the log: {listed}"
 
 
-def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> Diagnosis:
-    off = {one.name: one.sigma > LIKE_SIGMA + one.rounding[0] for one in found.parts}
+def _means(given: ExternalEstimate, likeness: Likeness, clues: Clues) -> Diagnosis:
+    off = {part.name: part.sigma > LIKE_SIGMA + part.rounding[0] for part in likeness.parts}
     far_poses, far = off["poses"], off.get("landmarks", np.zeros(0, dtype=bool))
     if not far_poses.any() and not far.any():
         return Diagnosis([], [])
-    known = _known_path(given, found, clues) if far_poses.any() else None
+    known = _known_path(given, likeness, clues) if far_poses.any() else None
     causes, evidence, partly = [] if known is None else [known], list[Cause](), list[Cause]()
     if known is None and far_poses.any():
-        causes, evidence = diagnose(paths_beside(given, found.reference, clues.smoothed[0]))
-    swapped = _swapped(given, found)
+        causes, evidence = diagnose(paths_beside(given, likeness.reference, clues.smoothed[0]))
+    swapped = _swapped(given, likeness)
     if swapped is not None and not causes:  # another frame exchanges landmarks, too
         (partly if far_poses.any() else causes).append(swapped)
     if not causes or far.any():
-        apart = _apart(given, found, far_poses, far)
-        said = (apart.evidence, *(one.evidence for one in evidence))
+        apart = _apart(given, likeness, far_poses, far)
+        said = (apart.evidence, *(cause.evidence for cause in evidence))
         causes.append(replace(apart, evidence="; ".join(said)))
     return Diagnosis(causes, partly)
 
@@ -191,24 +191,24 @@ def undone(given: ExternalEstimate, moved: PathTransform, instants_s: Array) -> 
     )
 
 
-def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause | None:
+def _known_path(given: ExternalEstimate, likeness: Likeness, clues: Clues) -> Cause | None:
     """Other poses of the same estimators."""
-    if clues.before is not None and _fits(given, found, clues.before):
+    if clues.before is not None and _fits(given, likeness, clues.before):
         return Cause(
             "time",
             "the poses are those from before the measurement update",
             "write the pose after every update",
         )
-    if not found.reference.smoothed and _fits(given, found, clues.smoothed):
+    if not likeness.reference.smoothed and _fits(given, likeness, clues.smoothed):
         return Cause(
             "information",
             "the poses are those of the smoother, which uses later measurements",
             'write information = "smoothed" in estimate.toml',
         )
-    filtered = clues.filtered() if found.reference.smoothed else None
-    if filtered is not None and _fits(given, found, filtered):
+    filtered = clues.filtered() if likeness.reference.smoothed else None
+    if filtered is not None and _fits(given, likeness, filtered):
         if clues.closed:
-            landmarks = " and landmarks" if len(found.theirs) else ""
+            landmarks = " and landmarks" if len(likeness.theirs) else ""
             return Cause(
                 "data",
                 f"the poses are those of the log's odometry{landmarks} alone: no loop closure is "
@@ -224,8 +224,8 @@ def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause
     return None
 
 
-def _fits(given: ExternalEstimate, found: Likeness, other: tuple[Array, Array]) -> bool:
-    at = found.reference.known & np.isfinite(other[1]).all(axis=(1, 2))
+def _fits(given: ExternalEstimate, likeness: Likeness, other: tuple[Array, Array]) -> bool:
+    at = likeness.reference.known & np.isfinite(other[1]).all(axis=(1, 2))
     if 2 * at.sum() < len(at):
         return False
     difference = pose_difference(given.pose[at], other[0][at])
@@ -233,13 +233,16 @@ def _fits(given: ExternalEstimate, found: Likeness, other: tuple[Array, Array]) 
 
 
 def _apart(
-    given: ExternalEstimate, found: Likeness, poses: NDArray[np.bool_], landmarks: NDArray[np.bool_]
+    given: ExternalEstimate,
+    likeness: Likeness,
+    poses: NDArray[np.bool_],
+    landmarks: NDArray[np.bool_],
 ) -> Cause:
-    reference, limit, parts = found.reference, f"{100 * LIKE_SIGMA:.0f} % of sigma", []
+    reference, limit, parts = likeness.reference, f"{100 * LIKE_SIGMA:.0f} % of sigma", []
     if poses.any():
         at = reference.known
         difference = pose_difference(given.pose[at], reference.pose[at])
-        sigma, worst = found.parts[0].sigma, int(np.argmax(found.parts[0].sigma))
+        sigma, worst = likeness.parts[0].sigma, int(np.argmax(likeness.parts[0].sigma))
         turned = np.degrees(rms(difference[:, 2:]))
         parts.append(
             f"{poses.sum()} of {len(poses)} poses differ by more than {limit} from those of "
@@ -247,12 +250,12 @@ def _apart(
             f"pose at {reference.time_s[at][worst]:.2f} s differs most, by {sigma[worst]:.2g} sigma"
         )
     if landmarks.any() and given.landmark is not None:
-        sigma = found.parts[1].sigma
+        sigma = likeness.parts[1].sigma
         worst = int(np.argmax(sigma))
-        place = given.landmark[found.ours[worst]], reference.landmark[found.theirs[worst]]
+        place = given.landmark[likeness.ours[worst]], reference.landmark[likeness.theirs[worst]]
         parts.append(
             f"{landmarks.sum()} of {len(landmarks)} landmarks differ by more than {limit}, "
-            f"landmark {reference.landmark_name(int(found.theirs[worst]))} most, by "
+            f"landmark {reference.landmark_name(int(likeness.theirs[worst]))} most, by "
             f"{np.linalg.norm(place[0] - place[1]):.3f} m ({sigma[worst]:.2g} sigma)"
         )
     return Cause(
@@ -264,19 +267,19 @@ def _apart(
     )
 
 
-def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+def _covariances(given: ExternalEstimate, likeness: Likeness, clues: Clues) -> list[Cause]:
     """One sentence for each part that is off, or one for all where one factor explains them."""
-    reference, name = found.reference, found.reference.name
-    off = {p.name for p in found.parts if not p.within(np.inf, LIKE_VARIANCE)}
+    reference, name = likeness.reference, likeness.reference.name
+    off = {p.name for p in likeness.parts if not p.within(np.inf, LIKE_VARIANCE)}
     if not off:
         return []
-    at, pairs, said = reference.known, _pairs(given, found), []
+    at, pairs, said = reference.known, _pairs(given, likeness), []
     hint = (
         "check the noise: a sigma instead of a variance, a factor on R or Q, a dropped "
         "cross-covariance, a measurement used twice; check the export: frame, units, order, time"
     )
     fits = [signatures.fit(*pair) for pair in pairs.values()]
-    factors = [one.factor for one in fits if one is not None and not one.exceptions.any()]
+    factors = [fit.factor for fit in fits if fit is not None and not fit.exceptions.any()]
     if len(factors) == len(fits) and max(factors) <= min(factors) * (1.0 + LIKE_VARIANCE):
         every = signatures.of_everything(float(np.median(factors)), name)
         return [Cause("covariance", every, hint)]
@@ -289,7 +292,7 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
         said.append(signatures.of_poses(pairs["poses"][0], poses, name))
     if "landmarks" in off:
         heading = float(given.pose[-1, 2])
-        labels = [reference.landmark_name(row) for row in found.theirs.tolist()]
+        labels = [reference.landmark_name(row) for row in likeness.theirs.tolist()]
         said.append(signatures.of_landmarks(*pairs["landmarks"], heading, name, labels))
     if "last pose and landmarks" in off and (not said or "landmarks" not in off):
         first, second = pairs["last pose and landmarks"]
@@ -297,23 +300,23 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
     return [Cause("covariance", "; ".join(said), hint)]
 
 
-def _pairs(given: ExternalEstimate, found: Likeness) -> dict[str, tuple[Array, Array]]:
+def _pairs(given: ExternalEstimate, likeness: Likeness) -> dict[str, tuple[Array, Array]]:
     """Covariances (N, n, n) of the parts that were handed in, and the reference's."""
-    reference, at, pairs = found.reference, found.reference.known, {}
+    reference, at, pairs = likeness.reference, likeness.reference.known, {}
     if given.pose_covariance is not None:
         pairs["poses"] = given.pose_covariance[at], reference.pose_covariance[at]
     if given.landmark_covariance is not None:
-        own = reference.landmark_covariances(found.theirs)
-        pairs["landmarks"] = given.landmark_covariance[found.ours], own
-    joint = joint_pair(given, reference, (found.ours, found.theirs))
+        own = reference.landmark_covariances(likeness.theirs)
+        pairs["landmarks"] = given.landmark_covariance[likeness.ours], own
+    joint = joint_pair(given, reference, (likeness.ours, likeness.theirs))
     if joint is not None:
         pairs["last pose and landmarks"] = joint[0][None], joint[1][None]
     return pairs
 
 
-def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:
+def _swapped(given: ExternalEstimate, likeness: Likeness) -> Cause | None:
     """Landmarks that lie where another one's name belongs."""
-    ours, theirs, reference = found.ours, found.theirs, found.reference
+    ours, theirs, reference = likeness.ours, likeness.theirs, likeness.reference
     if given.landmark is None or len(ours) < 2:
         return None
     other = at_others(given.landmark[ours], reference.landmark[theirs])

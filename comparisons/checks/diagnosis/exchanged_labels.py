@@ -41,11 +41,11 @@ def _exchange(log: Log, first: int, second: int, since_s: float) -> LogCorrectio
     """Two labels of a log in each other's place from a time on."""
 
     def correct(log: Log) -> Log:
-        seen = log.measurements
-        late, label = seen.time_s >= since_s, seen.landmark.copy()
-        label[late & (seen.landmark == first)] = second
-        label[late & (seen.landmark == second)] = first
-        return replace(log, measurements=replace(seen, landmark=label))
+        measurements = log.measurements
+        late, label = measurements.time_s >= since_s, measurements.landmark.copy()
+        label[late & (measurements.landmark == first)] = second
+        label[late & (measurements.landmark == second)] = first
+        return replace(log, measurements=replace(measurements, landmark=label))
 
     names = " and ".join(log.labels.get(one, str(one)) for one in (first, second))
     return LogCorrection(
@@ -69,20 +69,20 @@ def _suspects(solved: SolvedLog) -> list[int]:
 
 def _since_s(tested: TestedLog, first: int, second: int) -> float | None:
     """The time from which on the places of two labels are exchanged; None where there is none."""
-    seen = tested.log.measurements
-    pair = np.isin(seen.landmark, (first, second))
+    measurements = tested.log.measurements
+    pair = np.isin(measurements.landmark, (first, second))
     rows = np.flatnonzero(pair)
-    rows = rows[np.argsort(seen.time_s[rows], kind="stable")]
+    rows = rows[np.argsort(measurements.time_s[rows], kind="stable")]
     try:
-        rest = replace(tested.log, measurements=seen.chosen(~pair))
+        rest = replace(tested.log, measurements=measurements.chosen(~pair))
         solved = tested.solver.solved(rest)
     except (InputError, RuntimeError, ValueError):
         return None
     poses, _ = from_values(solved.goodness.values, solved.goodness.problem)
-    epoch = np.minimum(np.searchsorted(solved.time_s, seen.time_s[rows]), len(poses) - 1)
-    angle = poses[epoch, 2] + seen.bearing_rad[rows]
-    place = poses[epoch, :2] @ (1.0, 1j) + seen.range_m[rows] * np.exp(1j * angle)
-    is_first, time_s = seen.landmark[rows] == first, seen.time_s[rows]
+    epoch = np.minimum(np.searchsorted(solved.time_s, measurements.time_s[rows]), len(poses) - 1)
+    angle = poses[epoch, 2] + measurements.bearing_rad[rows]
+    place = poses[epoch, :2] @ (1.0, 1j) + measurements.range_m[rows] * np.exp(1j * angle)
+    is_first, time_s = measurements.landmark[rows] == first, measurements.time_s[rows]
     costs: list[tuple[float, float]] = []
     for since_s in np.unique(time_s):
         late = time_s >= since_s

@@ -26,11 +26,13 @@ def exchanged_rows(prior: Prior, pose: Array, left: Array) -> str:
     """
     (error,) = pose_difference(prior.pose[None], pose)
     orders = {names: np.array(order) for names, order in EXCHANGED_ROWS.items()}
-    found = likelier_orders(error, prior.covariance, left, orders.values())
-    if not found:
+    row_orders = likelier_orders(error, prior.covariance, left, orders.values())
+    if not row_orders:
         return ""
     named = {id(order): names for names, order in orders.items()}
-    listed = ", or ".join(f"{named[id(one.order)]} (p = {one.p_value:.2g})" for one in found)
+    listed = ", or ".join(
+        f"{named[id(order.order)]} (p = {order.p_value:.2g})" for order in row_orders
+    )
     x, y, heading = (f"{one:.3g}" for one in error)
     sigma = ", ".join(f"{one:.3g}" for one in np.sqrt(np.diag(prior.covariance)))
     return (

@@ -131,13 +131,13 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
 def _misread(values: Array, number: Index, meant: Array) -> Iterator[Hypothesis]:
     """Positions (L, 2) that are misread. number: (G,) which. meant: (G, 2) their residuals."""
     columns = position_columns()
-    for one in (*misreadings(columns, _LAGS), *joined_misreadings(columns)):
+    for misreading in (*misreadings(columns, _LAGS), *joined_misreadings(columns)):
 
-        def predict(rows: Index, *numbers: float, one: Misreading = one) -> Array:
-            used: Array = one.values(values, *numbers) - values
+        def predict(rows: Index, *numbers: float, misreading: Misreading = misreading) -> Array:
+            used: Array = misreading.values(values, *numbers) - values
             return meant[rows] + used[number[rows]]
 
-        yield Hypothesis(one.said, predict, one.start)
+        yield Hypothesis(misreading.said, predict, misreading.start)
 
 
 def _position_noise(have: Array, stated: Array, of: Quantity) -> list[str]:

@@ -79,8 +79,8 @@ def linearisation_growth(
             every.append(_relations(name, *seen, poses, landmarks))
     every.append(_positions(frozen, optimum, poses))
     squared = np.zeros(len(poses))
-    for one in every:
-        np.add.at(squared, one.epoch, one.sigma**2)
+    for error in every:
+        np.add.at(squared, error.epoch, error.sigma**2)
     worst = max(every, key=lambda one: one.sigma.max(initial=0.0))
     if not len(worst.sigma):
         return LinearisationGrowth(squared, "nothing", 0, -1, 0.0)

@@ -69,7 +69,7 @@ class Examination(NamedTuple):
         """
         test = self.test
         if self.findings:
-            what = ", or ".join(f"{one.said} ({one.mend})" for one in self.findings)
+            what = ", or ".join(f"{finding.said} ({finding.mend})" for finding in self.findings)
             return (
                 f"the log fits {what}: the smoother's chi-square falls from {test.chi2:.4g} to "
                 f"{self.findings[0].chi2:.4g} with this changed, for {test.dof} degrees of freedom"
@@ -128,7 +128,7 @@ def examine_run(log: Log, run: EkfRun, solved: SolvedLog) -> list[LogFit]:
         fits, least = LogFits([]) if tested is None else search(tested, least)
         if fits and tested is not whole:
             fits = _of_whole(whole, fits, search)
-        if any(one.name is not None or not one.correction.sensors for one in fits):
+        if any(fit.name is not None or not fit.correction.sensors for fit in fits):
             return fits
     return []
 
@@ -141,9 +141,9 @@ def _of_whole(whole: TestedLog, fits: list[LogFit], search: Search) -> list[LogF
     """What makes a part fit has to make all of the log fit."""
     if search is _of_labels:
         return search(whole, np.inf).fits
-    tried = list(dict.fromkeys(one.correction for one in fits))
+    tried = list(dict.fromkeys(fit.correction for fit in fits))
     if search is _of_sigmas:
-        near = {one.correction.slot: one.correction._replace(neutral=one.numbers) for one in fits}
+        near = {fit.correction.slot: fit.correction._replace(neutral=fit.numbers) for fit in fits}
         return sigma_fits(whole, near.values()) if _is_suspect(whole) else []
     if _is_suspect(whole) and (found := fits_of(whole, tried).fits):
         return found

@@ -181,7 +181,9 @@ def less_noisy(
     """
     fits: list[LogFit] = []
     for correction in corrections:
-        names: list[NamedNumber | None] = [one for one in correction.names if one.keeps_size]
+        names: list[NamedNumber | None] = [
+            number for number in correction.names if number.keeps_size
+        ]
         for name in [None] if correction.keeps_size else names:
             fits += _less_noise(tested, correction, name, short)
     return LogFits(_alike(tested, fits))
@@ -210,7 +212,7 @@ def not_excluded(tested: TestedLog, corrections: Sequence[LogCorrection]) -> lis
     if tested.test.reading != "too high":
         return list(corrections)
     most = _LOOSE * tested.test.upper
-    fits = (_fitted(tested, one) for one in corrections)
+    fits = (_fitted(tested, correction) for correction in corrections)
     return [_from_there(fit) for fit in fits if fit is not None and fit.chi2 <= most]
 
 
@@ -219,7 +221,7 @@ def _alike(tested: TestedLog, fits: Sequence[LogFit], least: float = np.inf) -> 
 
     least: deviance of others.
     """
-    deviances = [_deviance(tested, one) for one in fits]
+    deviances = [_deviance(tested, fit) for fit in fits]
     least = min((least, *deviances))
     order = np.argsort(deviances, kind="stable").tolist()
     return simplest([fits[k] for k in order if deviances[k] <= least + AS_LIKELY])
@@ -244,11 +246,11 @@ def _log_noise(problem: SlamProblem) -> float:
 
 def simplest(fits: Sequence[LogFit]) -> list[LogFit]:
     """Return fits without what contains another one of them, and none said twice."""
-    keys = {(one.correction.slot, one.correction.change) for one in fits}
+    keys = {(fit.correction.slot, fit.correction.change) for fit in fits}
     said: dict[str, LogFit] = {}
-    for one in fits:
-        if not keys.intersection(one.correction.contains):
-            said.setdefault(one.what, one)
+    for fit in fits:
+        if not keys.intersection(fit.correction.contains):
+            said.setdefault(fit.what, fit)
     return list(said.values())
 
 
@@ -267,15 +269,17 @@ def promising(test: ChiSquareTest, chi2: float, changes: int, numbers: int = 1) 
 
 def _from_there(fit: LogFit) -> LogCorrection:
     """The correction, whose numbers are sought next to those of a fit."""
-    one = fit.correction
+    correction = fit.correction
     if len(fit.numbers) != 1:
-        return one
+        return correction
     (number,) = fit.numbers
-    nearest = [name for name in one.names if abs(name.number - number) <= 0.5 * abs(name.number)]
-    if one.grid:
-        place = int(np.clip(np.searchsorted(one.grid, number), 1, len(one.grid) - 1))
-        return one._replace(grid=one.grid[max(place - 2, 0) : place + 2])
-    return one._replace(names=tuple(nearest))
+    nearest = [
+        name for name in correction.names if abs(name.number - number) <= 0.5 * abs(name.number)
+    ]
+    if correction.grid:
+        place = int(np.clip(np.searchsorted(correction.grid, number), 1, len(correction.grid) - 1))
+        return correction._replace(grid=correction.grid[max(place - 2, 0) : place + 2])
+    return correction._replace(names=tuple(nearest))
 
 
 def _fitted(tested: TestedLog, correction: LogCorrection) -> LogFit | None:
@@ -300,10 +304,10 @@ def _fitted(tested: TestedLog, correction: LogCorrection) -> LogFit | None:
     ]
     if not starts:
         return fit
-    _, number, solved = min(starts, key=lambda one: one[0])
+    _, number, solved = min(starts, key=lambda start: start[0])
     other = _by_newton(tested, correction, np.array((number,)), solved)
     fits = [one for one in (fit, other) if one is not None]
-    return min(fits, key=lambda one: one.chi2, default=None)
+    return min(fits, key=lambda fit: fit.chi2, default=None)
 
 
 def _by_newton(
@@ -381,7 +385,7 @@ def _scanned(tested: TestedLog, correction: LogCorrection) -> LogFit | None:
     neighbours = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     if correction.change == "lag":
         samples = np.arange(neighbours[0], neighbours[1] + 1.0).tolist()
-        least, number = min((chi2_at(one), one) for one in samples)
+        least, number = min((chi2_at(sample), sample) for sample in samples)
     else:
         options = {"maxiter": 14, "xatol": step / 20.0}
         fine = minimize_scalar(chi2_at, bounds=neighbours, method="bounded", options=options)
@@ -404,7 +408,7 @@ def _by_name(tested: TestedLog, fit: LogFit) -> list[LogFit]:
     if len(fit.numbers) != 1 or not fit.correction.names:
         return [fit]
     number, wide = fit.numbers[0], _QUANTILE * fit.sigmas[0]
-    name = min(fit.correction.names, key=lambda one: abs(one.number - number))
+    name = min(fit.correction.names, key=lambda name: abs(name.number - number))
     is_factor = fit.correction.change == "times"
     scale = abs(name.number) if is_factor else 1.0
     distance = abs(name.number - number)

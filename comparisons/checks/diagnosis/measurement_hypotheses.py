@@ -41,7 +41,7 @@ from ekf_reference.core.trace import MeasurementRecords
 from ekf_reference.models.range_bearing import RangeBearing
 
 _READ = read_measurements()
-_COLUMNS = tuple(one.name for one in _READ[1:])
+_COLUMNS = tuple(column.name for column in _READ[1:])
 _LAGS = (1, -1, 2, -2)
 _TWO = np.eye(2)
 _BEARING: NDArray[np.bool_] = np.array([False, True])
@@ -76,11 +76,11 @@ def measurement_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     reported: list[str] = []
     updates, starts = run.trace.measurements[POINT], run.trace.initialisations[POINT]
     if len(updates.step):
-        seen = _seen(log, run, updates, rounding)
-        yield from _innovations(seen)
-        reported = list(_noise_hints("R", seen, "measurements"))
+        measurements = _seen(log, run, updates, rounding)
+        yield from _innovations(measurements)
+        reported = list(_noise_hints("R", measurements, "measurements"))
         yield from reported
-        yield from _jacobians(seen)
+        yield from _jacobians(measurements)
     starts = starts.rows(np.flatnonzero((starts.number >= 0) & (starts.weight > 0.0)))
     if len(starts.step):
         new = _seen(log, run, starts, rounding)
@@ -180,11 +180,11 @@ def _moved(pose: Array, forward: float, left: float) -> Array:
     return pose + np.column_stack((arm, np.zeros(len(pose))))
 
 
-def _innovations(seen: _Seen) -> Iterator[str]:
-    r, nu = seen.r, seen.z - seen.z_hat
+def _innovations(measurements: _Seen) -> Iterator[str]:
+    r, nu = measurements.r, measurements.z - measurements.z_hat
     nu[:, 1] = wrap_angle(nu[:, 1])
     turns = (r.innovation[:, 1] - nu[:, 1]) / np.pi
-    limit = EQUAL + seen.slack[:, 1] / np.pi
+    limit = EQUAL + measurements.slack[:, 1] / np.pi
     whole = np.round(turns)
     off = (whole != 0.0) & (np.abs(np.abs(nu[:, 1]) - np.pi) > limit)
     if off.any() and (np.abs(turns - whole) <= limit).all():
@@ -199,51 +199,51 @@ def _innovations(seen: _Seen) -> Iterator[str]:
     both = Quantity(
         have=r.innovation,
         meant=nu,
-        tolerance=EQUAL * np.maximum(1.0, np.abs(nu)) + seen.slack,
+        tolerance=EQUAL * np.maximum(1.0, np.abs(nu)) + measurements.slack,
         records="measurements",
         angle=_BEARING,
-        features=seen.features,
+        features=measurements.features,
     )
     # What was taken for the measurement, if the expected one is right; the bearing up to whole
     # turns.
-    taken = replace(both, have=r.innovation + seen.z_hat, meant=seen.z)
-    lines = named(both, _of_both(seen, nu)) or list(_by_column(taken, seen))
-    yield from lines or _composed_innovation(both, seen)
+    taken = replace(both, have=r.innovation + measurements.z_hat, meant=measurements.z)
+    lines = named(both, _of_both(measurements, nu)) or list(_by_column(taken, measurements))
+    yield from lines or _composed_innovation(both, measurements)
 
 
-def _composed_innovation(both: Quantity, seen: _Seen) -> list[str]:
+def _composed_innovation(both: Quantity, measurements: _Seen) -> list[str]:
     """The expected measurement or the innovation by the grammar; both (M, 2) are vectors."""
-    factors = {"the range": seen.z_hat[:, 0]}
+    factors = {"the range": measurements.z_hat[:, 0]}
     expected = Values(
-        sound=seen.z_hat[:, :, None],
+        sound=measurements.z_hat[:, :, None],
         factors=factors,
-        elsewhere={f"that {which}": z[:, :, None] for which, z in seen.others.items()},
+        elsewhere={f"that {which}": z[:, :, None] for which, z in measurements.others.items()},
     )
     residual = Values(sound=both.meant[:, :, None], factors=factors)
     return explained(
-        EXPECTED, both, expected, lambda values, rows: seen.z[rows] - values[:, :, 0]
+        EXPECTED, both, expected, lambda values, rows: measurements.z[rows] - values[:, :, 0]
     ) or explained(INNOVATION, both, residual, lambda values, rows: values[:, :, 0])
 
 
-def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
+def _of_both(measurements: _Seen, nu: Array) -> Iterator[Hypothesis]:
     """Mistakes that show in range and bearing together."""
     yield instead("the innovation has the opposite sign (expected minus measured)", -nu)
-    r = seen.r
+    r = measurements.r
     for where, expected in (
-        *((where, _rays(pose, r.landmark)[0]) for where, pose in seen.poses.items()),
-        *((where, _rays(r.pose, point)[0]) for where, point in seen.points.items()),
+        *((where, _rays(pose, r.landmark)[0]) for where, pose in measurements.poses.items()),
+        *((where, _rays(r.pose, point)[0]) for where, point in measurements.points.items()),
     ):
-        yield instead(f"the expected measurement is computed {where}", seen.z - expected)
+        yield instead(f"the expected measurement is computed {where}", measurements.z - expected)
     for misread in misreadings(_READ, _LAGS):
         if misread.column is _READ[0]:
-            yield _read(seen, misread, lambda z, rows: z - seen.z_hat[rows])
+            yield _read(measurements, misread, lambda z, rows: z - measurements.z_hat[rows])
 
     def expected_from(pose: Array, rows: Index) -> Array:
-        return seen.z[rows] - _rays(pose, r.landmark[rows])[0]
+        return measurements.z[rows] - _rays(pose, r.landmark[rows])[0]
 
     yield Hypothesis(
         "the expected measurement is computed {0:.4g} s after its time",
-        lambda rows, s: expected_from(r.pose[rows] + s * seen.velocity[rows], rows),
+        lambda rows, s: expected_from(r.pose[rows] + s * measurements.velocity[rows], rows),
         (0.0,),
     )
     yield Hypothesis(
@@ -253,33 +253,37 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
     )
 
 
-def _read(seen: _Seen, misread: Misreading, shown: Callable[[Array, Index], Array]) -> Hypothesis:
+def _read(
+    measurements: _Seen, misread: Misreading, shown: Callable[[Array, Index], Array]
+) -> Hypothesis:
     """The log is misread. shown: makes of measurements (R, 2) what is compared."""
 
     def predict(rows: Index, *numbers: float) -> Array:
-        return shown(misread.values(seen.values, *numbers)[seen.r.number[rows]], rows)
+        return shown(
+            misread.values(measurements.values, *numbers)[measurements.r.number[rows]], rows
+        )
 
     return Hypothesis(misread.said, predict, misread.start)
 
 
-def _by_column(both: Quantity, seen: _Seen, whose: str = "the") -> Iterator[str]:
+def _by_column(both: Quantity, measurements: _Seen, whose: str = "the") -> Iterator[str]:
     """Of range and bearing (M, 2) that were used, each by itself."""
     for entry, column in enumerate(_READ[1:]):
         part = both.part(entry)
         yield from named(
-            part, _of_column(part, seen, column._replace(the=f"{whose} {column.name}"))
+            part, _of_column(part, measurements, column._replace(the=f"{whose} {column.name}"))
         )
 
 
-def _of_column(part: Quantity, seen: _Seen, column: LogColumn) -> Iterator[Hypothesis]:
+def _of_column(part: Quantity, measurements: _Seen, column: LogColumn) -> Iterator[Hypothesis]:
     z, entry, name = part.meant, column.entries[0], column.the
-    expected = seen.z_hat[:, entry]
+    expected = measurements.z_hat[:, entry]
     if column.is_angle:
         yield instead(
-            "the heading is not subtracted in the expected bearing", z - seen.r.pose[:, 2]
+            "the heading is not subtracted in the expected bearing", z - measurements.r.pose[:, 2]
         )
     for misread in (*misreadings([column], _LAGS), *joined_misreadings([column])):
-        yield _read(seen, misread, lambda z, rows: z[:, entry])
+        yield _read(measurements, misread, lambda z, rows: z[:, entry])
     yield Hypothesis(
         times(f"the expected {column.name}"),
         lambda rows, k: z[rows] - (k - 1.0) * expected[rows],
@@ -291,12 +295,12 @@ def _of_column(part: Quantity, seen: _Seen, column: LogColumn) -> Iterator[Hypot
     yield from _rounded(part, name, column.spelt_unit)
 
 
-def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
+def _rounded(quantity: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
     """Multiples of a smallest unit, rounded or cut."""
-    limit = 10.0 * float(np.median(np.broadcast_to(one.tolerance, one.have.shape)))
-    used = one.have - 2.0 * np.pi * np.round((one.have - one.meant) / (2.0 * np.pi)) * bool(
-        one.angle
-    )
+    limit = 10.0 * float(np.median(np.broadcast_to(quantity.tolerance, quantity.have.shape)))
+    used = quantity.have - 2.0 * np.pi * np.round(
+        (quantity.have - quantity.meant) / (2.0 * np.pi)
+    ) * bool(quantity.angle)
     levels = np.unique(np.round(used / limit)) * limit
     gaps = np.diff(levels)
     gaps = gaps[gaps > 3.0 * limit]
@@ -309,27 +313,27 @@ def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
             break
         step = float(count @ used / (count @ count))
     whole = np.round(used / step) * step
-    near = np.abs(whole - one.meant) <= (0.5 + 1e-6) * step  # halves go either way
-    nearest = np.where(near, whole, np.round(one.meant / step) * step)
+    near = np.abs(whole - quantity.meant) <= (0.5 + 1e-6) * step  # halves go either way
+    nearest = np.where(near, whole, np.round(quantity.meant / step) * step)
     for how, levels in (
         ("rounded to", nearest),
-        ("truncated to", np.floor(one.meant / step + 1e-9) * step),
-        ("truncated to", np.trunc(one.meant / step * (1.0 + 1e-12)) * step),
+        ("truncated to", np.floor(quantity.meant / step + 1e-9) * step),
+        ("truncated to", np.trunc(quantity.meant / step * (1.0 + 1e-12)) * step),
     ):
         yield instead(f"{name} is {how} multiples of {step:.4g} {unit}", levels)
 
 
-def _noise_hints(name: str, seen: _Seen, records: str) -> Iterator[str]:
+def _noise_hints(name: str, measurements: _Seen, records: str) -> Iterator[str]:
     """Yield what a measurement's R was made of, that of its whole information."""
-    sigma = seen.sigma
+    sigma = measurements.sigma
     size = sigma[:, :, None] * sigma[:, None, :]
-    have = seen.r.noise * seen.r.weight[:, None, None] / size
+    have = measurements.r.noise * measurements.r.weight[:, None, None] / size
     quantity = Quantity(
         have=have,
         meant=np.broadcast_to(_TWO, have.shape),
         tolerance=EQUAL,
         records=records,
-        features=seen.features,
+        features=measurements.features,
     )
     degrees = np.degrees(1.0)
 
@@ -352,11 +356,16 @@ def _noise_hints(name: str, seen: _Seen, records: str) -> Iterator[str]:
         yield from found
         return
     parts = [
-        named(quantity.part(k, k), _variances(f"{name} of the {column}", sigma[:, k], seen.z[:, 0]))
+        named(
+            quantity.part(k, k),
+            _variances(f"{name} of the {column}", sigma[:, k], measurements.z[:, 0]),
+        )
         for k, column in enumerate(_COLUMNS)
     ]
     slot = replace(R, name=name)
-    stated = Values(sound=sigma[:, :, None] ** 2 * _TWO, factors={"the range": seen.z_hat[:, 0]})
+    stated = Values(
+        sound=sigma[:, :, None] ** 2 * _TWO, factors={"the range": measurements.z_hat[:, 0]}
+    )
     composed = explained(
         slot, quantity, stated, lambda values, rows: values / size[rows]
     ) if not any(parts) else []  # fmt: skip
@@ -393,18 +402,18 @@ def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:
         )
 
 
-def _jacobians(seen: _Seen) -> Iterator[str]:
-    want = seen.h
+def _jacobians(measurements: _Seen) -> Iterator[str]:
+    want = measurements.h
     quantity = Quantity(
-        have=np.concatenate((seen.r.jacobian_pose, seen.r.jacobian_other), axis=2),
+        have=np.concatenate((measurements.r.jacobian_pose, measurements.r.jacobian_other), axis=2),
         meant=want,
         tolerance=EQUAL * np.maximum(1e-6, np.abs(want).max(axis=(0, 2), keepdims=True))
-        + 4.0 * seen.slack[:, :, None] / seen.z_hat[:, :1, None],
+        + 4.0 * measurements.slack[:, :, None] / measurements.z_hat[:, :1, None],
         records="measurements",
-        features=seen.features,
+        features=measurements.features,
     )
-    if found := named(quantity, [_beside_the_pose(seen)]) or explained(
-        H, quantity, _values_of(seen, want)
+    if found := named(quantity, [_beside_the_pose(measurements)]) or explained(
+        H, quantity, _values_of(measurements, want)
     ):
         yield from found
         return
@@ -413,15 +422,21 @@ def _jacobians(seen: _Seen) -> Iterator[str]:
         yield f"the {rows_off[0]} row of H is wrong, the other row is right"
 
 
-def _values_of(seen: _Seen, want: Array) -> Values:
+def _values_of(measurements: _Seen, want: Array) -> Values:
     """H (M, 2, 5) as it should be, and at the other points that there are."""
     elsewhere = {
-        **{where: _rays(pose, seen.r.landmark)[1] for where, pose in seen.poses.items()},
-        **{where: _rays(seen.r.pose, point)[1] for where, point in seen.points.items()},
+        **{
+            where: _rays(pose, measurements.r.landmark)[1]
+            for where, pose in measurements.poses.items()
+        },
+        **{
+            where: _rays(measurements.r.pose, point)[1]
+            for where, point in measurements.points.items()
+        },
     }
     return Values(
         sound=want,
-        factors={"the range": seen.z_hat[:, 0]},
+        factors={"the range": measurements.z_hat[:, 0]},
         elsewhere={
             **{f"linearised {where}": one for where, one in elsewhere.items()},
             "that of the previous measurement": np.roll(want, 1, axis=0),
@@ -429,9 +444,9 @@ def _values_of(seen: _Seen, want: Array) -> Values:
     )
 
 
-def _beside_the_pose(seen: _Seen) -> Hypothesis:
+def _beside_the_pose(measurements: _Seen) -> Hypothesis:
     """H of a sensor that is elsewhere on the vehicle."""
-    r = seen.r
+    r = measurements.r
 
     def from_place(rows: Index, forward: float, left: float) -> Array:
         pose = _moved(r.pose[rows], forward, left)
@@ -504,7 +519,7 @@ def _jacobians_of_new(new: _Seen) -> list[str]:
                 features=new.features,
             )
         )
-    quantity = min(quantities, key=lambda one: np.count_nonzero(one.off()))
+    quantity = min(quantities, key=lambda quantity: np.count_nonzero(quantity.off()))
     elsewhere = {
         f"linearised {where}": _points(pose, new.z)[1] for where, pose in new.poses.items()
     }

@@ -121,7 +121,7 @@ class _Places:
 
 def model_differences(
     recorded: LinearProblem,
-    own: LinearProblem,
+    problem: LinearProblem,
     tolerance: float,
     initialised: int = 0,
     stored: Mapping[tuple[str, str], float] = _EXACT,
@@ -135,16 +135,16 @@ def model_differences(
     initialised: so many measurements, the last ones, initialise a landmark; they are a kind of
     their own. events, sensors: of each kind of relations, where known.
     """
-    steps = _of_relations(recorded.motion), _of_relations(own.motion)
+    steps = _of_relations(recorded.motion), _of_relations(problem.motion)
     measurements = {}
-    for kind, seen in own.measurements.items():
-        said, meant = _completed(_first(recorded.measurements[kind], len(seen.b)), seen)
+    for kind, relations in problem.measurements.items():
+        said, meant = _completed(_first(recorded.measurements[kind], len(relations.b)), relations)
         measurements[kind] = _of_relations(said), _of_relations(meant)
-    fixes, own_fixes = _with_all_entries(recorded.positions, own.positions)
+    fixes, own_fixes = _with_all_entries(recorded.positions, problem.positions)
     positions = _of_positions(fixes), _of_positions(own_fixes)
     merges = {
         kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
-        for kind, merged in own.merges.items()
+        for kind, merged in problem.merges.items()
     }
     of_points, own_points = measurements[POINT]
     uses = len(own_points.place) - initialised
@@ -156,7 +156,7 @@ def model_differences(
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
-    found = _priors(recorded.prior, own.prior, tolerance)
+    found = _priors(recorded.prior, problem.prior, tolerance)
     for relation, place, have, want in kinds:
         differences = _compare(place, have, want)
         if relation in sensors:
@@ -225,7 +225,7 @@ def _as_recorded(
         return by_place
 
     def off(differences: _Differences) -> Array:
-        limits = [tolerance + stored.get((kind, one[0]), 0.0) for one in differences]
+        limits = [tolerance + stored.get((kind, difference[0]), 0.0) for difference in differences]
         each = zip(differences, limits, strict=True)
         return np.array([~(difference <= limit) for (_, _, difference, _), limit in each])
 

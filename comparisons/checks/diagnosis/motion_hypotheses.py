@@ -54,8 +54,8 @@ class _Drive:
             self.model.step(self.departed[k], self.control[k], float(self.duration_s[k]))
             for k in rows
         ]
-        by_control = np.array([one.jacobian_control for one in each])
-        arrived = np.array([one.pose for one in each])
+        by_control = np.array([step.jacobian_control for step in each])
+        arrived = np.array([step.pose for step in each])
         return in_own_axes(self.departed[rows], arrived), by_control
 
     def by_interval(self, text: Text, change: Callable[..., Array], *start: float) -> _Mistake:
@@ -176,8 +176,8 @@ def _altered(log: Log, moves: Quantity, drive: _Drive, timeline: Timeline) -> It
 
         return _Mistake(misread.said, altered, misread.start)
 
-    every = [controlled(one) for one in misreadings(columns, _LAGS)]
-    pairs = [controlled(one) for one in joined_misreadings(columns)]
+    every = [controlled(misreading) for misreading in misreadings(columns, _LAGS)]
+    pairs = [controlled(misreading) for misreading in joined_misreadings(columns)]
     if isinstance(log.odometry, RelativePoses):
         yield from (*every, *pairs)
         return
@@ -190,7 +190,9 @@ def _altered(log: Log, moves: Quantity, drive: _Drive, timeline: Timeline) -> It
 
 def _by_numbers(mistakes: list[_Mistake]) -> tuple[list[_Mistake], list[_Mistake]]:
     """Those without a number, and the others."""
-    return [one for one in mistakes if not one.start], [one for one in mistakes if one.start]
+    return [mistake for mistake in mistakes if not mistake.start], [
+        mistake for mistake in mistakes if mistake.start
+    ]
 
 
 def _other_steps(drive: _Drive) -> Iterator[_Mistake]:
@@ -301,8 +303,8 @@ class _Twice:
         self._model = model
 
     def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
-        one = self._model.step(pose, control, duration_s)
-        return self._model.step(one.pose, control, duration_s)
+        motion_step = self._model.step(pose, control, duration_s)
+        return self._model.step(motion_step.pose, control, duration_s)
 
 
 def _jacobian(run: EkfRun, moves: Quantity, duration_s: Array) -> list[str]:

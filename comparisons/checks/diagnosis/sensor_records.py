@@ -61,8 +61,10 @@ def _meant(
     log: Log, records: MeasurementRecords, relations: LinearRelations, rows: Index
 ) -> SensorRecords:
     """F2's rows of bearing and range, with noise of one, as range and bearing with the log's."""
-    seen = log.measurements
-    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[records.number]
+    measurements = log.measurements
+    sigma = np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))[
+        records.number
+    ]
     sigma = sigma / np.sqrt(records.weight)[:, None]
     a, c, b = (part[rows][:, ::-1] for part in (relations.a, relations.c, relations.b))
     return SensorRecords(
@@ -73,12 +75,12 @@ def _meant(
     )
 
 
-def _of_new(seen: SensorRecords) -> SensorRecords:
+def _of_new(records: SensorRecords) -> SensorRecords:
     """The same measurements, solved for the landmark that they place."""
-    by_z: Array = np.linalg.inv(seen.jacobian_other).astype(np.float64, copy=False)
+    by_z: Array = np.linalg.inv(records.jacobian_other).astype(np.float64, copy=False)
     return SensorRecords(
-        residual=(by_z @ seen.residual[..., None])[..., 0],
-        jacobian_pose=-by_z @ seen.jacobian_pose,
+        residual=(by_z @ records.residual[..., None])[..., 0],
+        jacobian_pose=-by_z @ records.jacobian_pose,
         jacobian_other=by_z,
-        noise=seen.noise,
+        noise=records.noise,
     )

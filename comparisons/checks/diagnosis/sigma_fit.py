@@ -63,10 +63,10 @@ def sigma_fits(tested: TestedLog, corrections: Iterable[LogCorrection]) -> list[
     fits: list[SigmaFit] = []
     for correction in corrections:
         fits += _factor(tested, correction) if correction.neutral else _fixed(tested, correction)
-    fits = [one for one in fits if one.deviance <= stated - AS_LIKELY]
-    least = min((one.deviance for one in fits), default=0.0)
-    likely = [one for one in fits if one.deviance <= least + AS_LIKELY]
-    return simplest([one.fit for one in sorted(likely, key=lambda one: one.deviance)])
+    fits = [fit for fit in fits if fit.deviance <= stated - AS_LIKELY]
+    least = min((fit.deviance for fit in fits), default=0.0)
+    likely = [fit for fit in fits if fit.deviance <= least + AS_LIKELY]
+    return simplest([fit.fit for fit in sorted(likely, key=lambda one: one.deviance)])
 
 
 def _fixed(tested: TestedLog, correction: LogCorrection) -> Iterator[SigmaFit]:

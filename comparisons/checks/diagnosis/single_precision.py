@@ -45,11 +45,13 @@ def _restored(
     arrays += [getattr(records, name) for records in batches for name in _ROUNDED]
     moved = iter(restored(arrays, rng, precision))
     steps: dict[str, Any] = {name: next(moved) for name in _STEPS}
-    seen, initialised, fixes = (replace(records, **_named(moved)) for records in batches)
+    measurement_records, initialised, fixes = (
+        replace(records, **_named(moved)) for records in batches
+    )
     return replace(
         trace,
         **steps,
-        measurements={**trace.measurements, POINT: seen},
+        measurements={**trace.measurements, POINT: measurement_records},
         initialisations={**trace.initialisations, POINT: initialised},
         positions=fixes,
     )
@@ -93,10 +95,10 @@ def rounding_gap(
             gaps.append(gap(solve(other), stored, sigma))
         except (SingularProblemError, np.linalg.LinAlgError):
             return Allowed(np.inf, np.inf)
-        found = _widest(gaps).times(OPERATIONS)
-        if not least.explained_by(found.times(_FAR)):
+        tolerance = _widest(gaps).times(OPERATIONS)
+        if not least.explained_by(tolerance.times(_FAR)):
             break
-    return found
+    return tolerance
 
 
 def _named(moved: Iterator[Array]) -> dict[str, Any]:
@@ -109,14 +111,14 @@ def allowed_of_estimate(ekf: Gaussian, sigma: Array, *, covariance: bool) -> All
     if not covariance:
         return Allowed(sigma=mean, covariance=0.0)
     others = [replace(ekf, covariance=restored([ekf.covariance], rng)[0]) for _ in range(_DRAWS)]
-    found = _widest([gap(other, ekf, sigma) for other in others])
-    return replace(found, sigma=mean)
+    tolerance = _widest([gap(other, ekf, sigma) for other in others])
+    return replace(tolerance, sigma=mean)
 
 
 def _widest(gaps: list[Gap]) -> Allowed:
     return Allowed(
-        sigma=FACTOR * max(one.sigma for one in gaps),
-        covariance=FACTOR * max(one.covariance for one in gaps),
+        sigma=FACTOR * max(difference.sigma for difference in gaps),
+        covariance=FACTOR * max(difference.covariance for difference in gaps),
     )
 
 

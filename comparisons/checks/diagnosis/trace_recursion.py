@@ -110,12 +110,12 @@ class _Turning(TraceRecursion):
     """The same, which turns each recorded heading by whole turns to its own mean."""
 
     def __init__(self, trace: TraceArrays, landmarks: int, dtype: type) -> None:
-        seen, new = trace.measurements[POINT], trace.initialisations[POINT]
+        records, new = trace.measurements[POINT], trace.initialisations[POINT]
         self.turned = replace(
             trace,
             departed=trace.departed.copy(),
             arrived=trace.arrived.copy(),
-            measurements={**trace.measurements, POINT: replace(seen, pose=seen.pose.copy())},
+            measurements={**trace.measurements, POINT: replace(records, pose=records.pose.copy())},
             initialisations={**trace.initialisations, POINT: replace(new, pose=new.pose.copy())},
             positions=replace(trace.positions, pose=trace.positions.pose.copy()),
         )

@@ -96,16 +96,18 @@ class ExternalProgram:
     @property
     def text(self) -> str:
         """What is split into these words, quoted where it has to be."""
-        return " ".join(one if _PLAIN.fullmatch(one) else shlex.quote(one) for one in self.words)
+        return " ".join(
+            word if _PLAIN.fullmatch(word) else shlex.quote(word) for word in self.words
+        )
 
     @property
     def sha256(self) -> str:
         """Of the words, and of every file that is named among them."""
-        found = hashlib.sha256(repr(self.words).encode())
+        digest = hashlib.sha256(repr(self.words).encode())
         for path in map(Path, self.words):
             if path.is_file():
-                found.update(hashlib.sha256(path.read_bytes()).digest())
-        return found.hexdigest()
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+        return digest.hexdigest()
 
     def __call__(self, log: Log) -> ExternalEstimate:
         """Run it in the current folder. Raises EstimatorError."""
@@ -149,7 +151,9 @@ class ExternalProgram:
                 raise
             if code:
                 tail = _tail(stderr)
-                last = next((one for one in tail.splitlines()[::-1] if one.strip()), "no message")
+                last = next(
+                    (line for line in tail.splitlines()[::-1] if line.strip()), "no message"
+                )
                 ended = f"exit code {code}" if code > 0 else f"killed by signal {-code}"
                 raise EstimatorError(f"{ended}: {last}", tail)
 
@@ -214,8 +218,8 @@ def run_external(
 ) -> RunRecords | Failure:
     """Return one run's records (1, T), or why there are none. name: of the log."""
     try:
-        found = estimator(log_of_run(world, run, name))
-        given = ExternalEstimate.of(found) if isinstance(found, Estimate) else found
+        estimate = estimator(log_of_run(world, run, name))
+        given = ExternalEstimate.of(estimate) if isinstance(estimate, Estimate) else estimate
         if not isinstance(given, ExternalEstimate):
             raise EstimatorError(
                 f"returned {type(given).__name__}, expected an Estimate or a ExternalEstimate"

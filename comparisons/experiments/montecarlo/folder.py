@@ -62,7 +62,7 @@ def _run_rows(outcome: StudyOutcome) -> str:
         run = per_run(kept)
         columns = [run[f"{what}_rmse"] for what in ERRORS]
         columns += [run["pose_nees"], kept.last.pose_nees]
-        for seed, row in enumerate(zip(*(one.tolist() for one in columns), strict=True)):
+        for seed, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             lines.append(",".join([str(seed), name, *(_cell(value) for value in row)]))
     return "\n".join(lines) + "\n"
 
@@ -112,15 +112,15 @@ def _rows(outcome: StudyOutcome) -> list[Row]:
     rows = []
     for name, figures in outcome.filters.items():
         group = f"Filter {name} ({100 * LEVEL:.0f} % bands)"
-        for block, one in figures.consistency.items():
-            known = one.place != "not given"
+        for block, nees in figures.consistency.items():
+            known = nees.place != "not given"
             rows.append(
                 Row(
                     group,
                     f"mean NEES of {block} (expected {DOF[block]})",
-                    f"{one.mean:.2f}" if known else "no covariances",
-                    _interval(one.band) if known else "",
-                    one.place == "inside" if known else None,
+                    f"{nees.mean:.2f}" if known else "no covariances",
+                    _interval(nees.band) if known else "",
+                    nees.place == "inside" if known else None,
                 )
             )
         for what, value in figures.rmse.items():
@@ -137,9 +137,9 @@ def remarks(outcome: StudyOutcome) -> list[str]:
             lines.append(f"{name}: {len(failed)} of {outcome.runs} runs failed")
         elif figures.lost:
             lines.append(f"{name}: {figures.lost} runs broke down and are left out")
-        for one in failed[:_MOST_FAILURES]:
-            kept = "" if one.log is None else f"; its log is {LOGS}/{one.log.name}"
-            lines.append(f"  seed {one.seed}: {one.reason}{kept}")
+        for failure in failed[:_MOST_FAILURES]:
+            kept = "" if failure.log is None else f"; its log is {LOGS}/{failure.log.name}"
+            lines.append(f"  seed {failure.seed}: {failure.reason}{kept}")
         if len(failed) > _MOST_FAILURES:
             lines.append(f"  and {len(failed) - _MOST_FAILURES} more, in montecarlo.json")
         absent = [block for block, c in figures.consistency.items() if c.place == "not given"]

@@ -88,7 +88,9 @@ def study_page(outcome: StudyOutcome, remarks: list[str], repeated: str | None =
         f"Student's t for the mean; p is the two-sided sign test's. A finding is by either, "
         f"both tests of all {rows} rows corrected together (Bonferroni, {_LEVEL} for the whole "
         "table). A lower error is better; a NEES is best near its degrees of freedom, 3.</p>",
-        data_block({"start": 0.0, "panels": [panel_data(one, 0.0) for one in _panels(outcome)]}),
+        data_block(
+            {"start": 0.0, "panels": [panel_data(panel, 0.0) for panel in _panels(outcome)]}
+        ),
     ]
     return document(f"{outcome.scenario}: Monte Carlo", parts, script(_SCRIPTS))
 

@@ -211,9 +211,9 @@ def figures_of(kept: FilterTally) -> FilterFigures:
         return curve[-1:] if kept.final_map and name == "landmarks" else curve
 
     def consistency(name: str, runs: int) -> BlockNees:
-        found = _consistency(counted(name, nees[name]), runs, DOF[name])
+        block_nees = _consistency(counted(name, nees[name]), runs, DOF[name])
         given = runs or kept.lost == len(kept.run_mean.pose_nees)
-        return found if given else replace(found, place="not given")
+        return block_nees if given else replace(block_nees, place="not given")
 
     position, heading, landmark = (
         float(np.sqrt(_mean(counted(name, curve)))) for name, curve in square.items()
@@ -233,7 +233,7 @@ def figures_of(kept: FilterTally) -> FilterFigures:
 
 def compare_pairs(kept: dict[str, FilterTally]) -> list[FilterPair]:
     """Every two filters, in the order given."""
-    each = {name: per_run(one) for name, one in kept.items()}
+    each = {name: per_run(filter_tally) for name, filter_tally in kept.items()}
     rows = [
         (first, second, what, a - each[second][what])
         for first, second in combinations(each, 2)

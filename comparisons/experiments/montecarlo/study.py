@@ -251,7 +251,7 @@ def run_study(
     final = bool(theirs)
     kept = {
         name: tally(_finished(files, name, config.runs), used, final_map=final) for name in names
-    } | {name: tally(one.records(), used, final_map=final) for name, one in theirs.items()}
+    } | {name: tally(runs.records(), used, final_map=final) for name, runs in theirs.items()}
     scenario = study.scenario
     return StudyOutcome(
         config=config.model_dump(mode="json"),
@@ -266,7 +266,7 @@ def run_study(
         filters={name: figures_of(of_filter) for name, of_filter in kept.items()},
         pairs=compare_pairs(kept),
         final_map=final,
-        failures={name: one.failures for name, one in theirs.items()},
+        failures={name: runs.failures for name, runs in theirs.items()},
         study=study,
         time_s=scenario.step_s * np.array(steps, dtype=float)[used],
         computed=len(wanted),
@@ -304,13 +304,13 @@ class _ExternalRuns:
 
     def records(self) -> Iterator[RunRecords]:
         """Run by run, NaN where it failed."""
-        failed = {one.seed for one in self.failures}
+        failed = {failure.seed for failure in self.failures}
         empty = RunRecords(*(np.full((1, len(self.used)), np.nan) for _ in RunRecords._fields))
         for run in range(self.runs):
-            found = empty if run in failed else self.files.read(self.name, run)
-            if found is None:
+            run_records = empty if run in failed else self.files.read(self.name, run)
+            if run_records is None:
                 raise InputError(f"{self.files.path(self.name, run)}: was changed meanwhile")
-            yield found
+            yield run_records
 
 
 @dataclass(frozen=True)
@@ -356,7 +356,7 @@ class _ExternalJob:
         )
         used = kept.used
         for run, records in enumerate(kept.records()):
-            if run not in {one.seed for one in reported}:
+            if run not in {failure.seed for failure in reported}:
                 used = used & np.isfinite(records.position_square[0])
         return replace(kept, used=used)
 
@@ -422,5 +422,5 @@ def record_commands(study: Study, commands: Mapping[str, ExternalProgram]) -> St
             f"the configuration names the command '{missing[0]}', which is never run from a file; "
             f"give --command '{missing[0]}=COMMAND'"
         )
-    named = {name: f"sha256:{one.sha256}" for name, one in commands.items()}
+    named = {name: f"sha256:{program.sha256}" for name, program in commands.items()}
     return Study(study.config.model_copy(update={"commands": named}), study.scenario)

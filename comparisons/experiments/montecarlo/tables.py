@@ -28,10 +28,10 @@ def _filters(outcome: StudyOutcome) -> Columns:
     rows = []
     for name, figures in outcome.filters.items():
         row: dict[str, Any] = {"filter": name, "lost": figures.lost}
-        for block, found in figures.consistency.items():
-            low, high = found.band
-            row |= {f"nees_{block}": found.mean, f"nees_{block}_low": low}
-            row |= {f"nees_{block}_high": high, f"nees_{block}_place": found.place}
+        for block, nees in figures.consistency.items():
+            low, high = nees.band
+            row |= {f"nees_{block}": nees.mean, f"nees_{block}_low": low}
+            row |= {f"nees_{block}_high": high, f"nees_{block}_place": nees.place}
         row |= {f"rmse_{what}_{ERRORS[what]}": value for what, value in figures.rmse.items()}
         rows.append(row)
     return rows
@@ -44,11 +44,11 @@ def _nees(outcome: StudyOutcome) -> Columns:
             "block": block,
             "time_s": time_s,
             "nees": nees,
-            "low": found.band[0],
-            "high": found.band[1],
+            "low": block_nees.band[0],
+            "high": block_nees.band[1],
         }
         for name, figures in outcome.filters.items()
-        for block, found in figures.consistency.items()
+        for block, block_nees in figures.consistency.items()
         for time_s, nees in zip(
             outcome.time_s.tolist(), figures.nees_curve[block].tolist(), strict=True
         )

@@ -41,8 +41,8 @@ def study_verdict(outcome: StudyOutcome) -> tuple[str, str]:
 def _places(figures: FilterFigures) -> str:
     """Where a filter's average NEES lie: what is not inside its band, else that all are."""
     by: dict[str, list[str]] = {}
-    for quantity, one in figures.consistency.items():
-        by.setdefault(one.place, []).append(quantity)
+    for quantity, nees in figures.consistency.items():
+        by.setdefault(nees.place, []).append(quantity)
     if len(by) == 1:
         return _PLACES[next(iter(by))]
     by.pop("inside", None)

@@ -167,9 +167,9 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
         errors["smoother"] = error_of_points(other, surfaces.segment)
     share = None
     if "occupancy" in layers:
-        seen = grid.samples()
-        mine = dense.dense.layers["occupancy"].occupancy(seen.point, by_filter)
-        share = _decided_alike(mine, seen.occupancy)
+        layer_samples = grid.samples()
+        mine = dense.dense.layers["occupancy"].occupancy(layer_samples.point, by_filter)
+        share = _decided_alike(mine, layer_samples.occupancy)
     rows.sort(key=lambda row: -row.distance_m)
     median_m = max(layer.median_m for layer in layers.values())
     worst = rows[0].distance_m if rows else 0.0

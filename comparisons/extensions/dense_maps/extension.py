@@ -198,8 +198,8 @@ class DenseMaps(Extension):
         with prepared.clock.stage("dense check"):
             prepared.progress("dense check", 0, 0)
             dense = watcher.run()
-            found = compare_dense(prepared.log, dense, known.gaps.smoothed)
-        return DenseMapsFinding(prepared.log, dense, found)
+            agreement = compare_dense(prepared.log, dense, known.gaps.smoothed)
+        return DenseMapsFinding(prepared.log, dense, agreement)
 
 
 class DenseMapsFinding(Finding):

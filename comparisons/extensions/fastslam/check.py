@@ -108,7 +108,7 @@ class CloudCheck:
     @property
     def worst(self) -> StretchCheck:
         """The stretch with the most energy."""
-        return max(self.stretches, key=lambda one: one.energy)
+        return max(self.stretches, key=lambda stretch: stretch.energy)
 
 
 def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
@@ -122,37 +122,37 @@ def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
     generator = np.random.default_rng(0)
     found, energies = [], np.zeros(SIMULATIONS + 1)
     shifts, scatter, size, freedom = 0.0, 0.0, 0, 0
-    for one in stretches:
-        m, d = one.draw.shape
-        own, expected = float(energy(one.draw)), simulated(m, d, generator)
+    for stretch in stretches:
+        m, d = stretch.draw.shape
+        own, expected = float(energy(stretch.draw)), simulated(m, d, generator)
         energies += np.concatenate(([own], expected))
-        centre = one.draw.mean(axis=0)
+        centre = stretch.draw.mean(axis=0)
         shifts, size = shifts + m * float(centre @ centre), size + d
-        within = float(((one.draw - centre) ** 2).sum())
+        within = float(((stretch.draw - centre) ** 2).sum())
         scatter, freedom = scatter + within, freedom + (m - 1) * d
         found.append(
             StretchCheck(
-                begin_s=one.begin_s,
-                end_s=one.end_s,
+                begin_s=stretch.begin_s,
+                end_s=stretch.end_s,
                 landmarks=(d - 3) // 2,
                 energy=own / float(expected.mean()),
-                shift=float(np.linalg.norm(one.mean[:, :3].mean(axis=0))),
+                shift=float(np.linalg.norm(stretch.mean[:, :3].mean(axis=0))),
                 spread=within / ((m - 1) * d),
             )
         )
     p = _p(energies)
     spread = scatter / freedom
-    of_means = np.mean([np.cov(one.mean[:, :3].T) for one in stretches], axis=0)
+    of_means = np.mean([np.cov(stretch.mean[:, :3].T) for stretch in stretches], axis=0)
     independent = 1.0 / float(np.linalg.eigvalsh(of_means)[-1])
-    shape = tuple(words for one in stretches for words in _shape(one, len(stretches)))
+    shape = tuple(words for stretch in stretches for words in _shape(stretch, len(stretches)))
     same, exact = p > LEVEL and not _beyond(spread, freedom), None
     if not same and independent >= 1.0:
         exact = check_exact(stretches)
         same = exact.explains
-    enough = not same or np.mean([one.depleted for one in stretches]) <= 0.5
+    enough = not same or np.mean([stretch.depleted for stretch in stretches]) <= 0.5
     return CloudCheck(
         stretches=tuple(found),
-        clouds=sum(len(one.draw) for one in stretches),
+        clouds=sum(len(stretch.draw) for stretch in stretches),
         energy=float(energies[0] / energies[1:].mean()),
         p=p,
         squared_shift=shifts / size / spread,
@@ -169,12 +169,12 @@ def check_exact(stretches: Sequence[StretchClouds]) -> ExactCheck:
     """Compare with draws of the exact posterior, of the stretches that can be sampled."""
     generator = np.random.default_rng(1)
     sampled, clouds, gaussian = 0, np.zeros(SIMULATIONS + 1), np.zeros(SIMULATIONS + 1)
-    for one in stretches:
-        exact = one.exact(generator)
+    for stretch in stretches:
+        exact = stretch.exact(generator)
         if exact is None:
             continue
         sampled += 1
-        own, chance = permuted(one.draw, exact, generator)
+        own, chance = permuted(stretch.draw, exact, generator)
         clouds += np.concatenate(([own], chance))
         own, chance = float(energy(exact)), simulated(len(exact), exact.shape[1], generator)
         gaussian += np.concatenate(([own], chance))

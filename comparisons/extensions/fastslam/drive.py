@@ -91,10 +91,12 @@ class Inputs:
 
     def __init__(self, log: Log, timeline: Timeline, identity: NDArray[np.int64]) -> None:
         """identity: (M,) landmark of each of the log's measurements, negative where unknown."""
-        seen = log.measurements
+        measurements = log.measurements
         self._timeline, self._identity = timeline, identity
-        self._z = np.column_stack((seen.range_m, seen.bearing_rad))
-        self._noise = diagonal_noise(np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad)))
+        self._z = np.column_stack((measurements.range_m, measurements.bearing_rad))
+        self._noise = diagonal_noise(
+            np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))
+        )
         self._steps, self._rows = timeline.steps_until(), timeline.measurements_until()
         self.epochs = len(self._steps)
 
@@ -126,9 +128,9 @@ def run_fastslam(slam: FastSlam, log: Log, timeline: Timeline) -> Cloud:
     sampled = []
     for k in range(inputs.epochs):
         inputs.predict(slam, k)
-        seen = inputs.seen(k)
-        if len(seen) or k + 1 == inputs.epochs:
-            slam.observe(seen)
+        measurements = inputs.seen(k)
+        if len(measurements) or k + 1 == inputs.epochs:
+            slam.observe(measurements)
             sampled.append(k)
         weight, pose = slam.weight, slam.predicted_pose()
         mean[k] = weight @ pose

@@ -137,7 +137,9 @@ class FastSlamFinding(Finding):
         self.result = FastSlamResult(
             **vars(check),
             particles=settings.particles,
-            length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
+            length_s=float(
+                np.mean([stretch.end_s - stretch.begin_s for stretch in check.stretches])
+            ),
             level=LEVEL,
             verdict=_AGREES[check.agrees],
             path_m=rms(apart[:, :2]),
@@ -154,33 +156,37 @@ class FastSlamFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return how the clouds compare with the smoother, and how depleted the whole log's is."""
-        own, row = self.result, partial(Row, "FastSLAM")
+        result, row = self.result, partial(Row, "FastSLAM")
 
         def chance(of: str, p: float) -> Row:
             return row(f"stretches: p of the {of}", f"{p:.4f}", f"above {LEVEL:g}", p > LEVEL)
 
         exact = []
-        if own.exact is not None and own.exact.stretches:
-            exact.append(chance("clouds against the exact posterior", own.exact.clouds))
-            exact.append(chance("Gaussian against the exact posterior", own.exact.gaussian))
-        counts = f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}"
-        most, known = f"at most {own.largest_shift:.2f}", own.independent
-        like, turned = f"{known:.2g}", f"{np.degrees(own.difference_rad):.2f} deg"
+        if result.exact is not None and result.exact.stretches:
+            exact.append(chance("clouds against the exact posterior", result.exact.clouds))
+            exact.append(chance("Gaussian against the exact posterior", result.exact.gaussian))
+        counts = f"{result.particles:,}, {result.clouds:,}, {len(result.stretches):,}"
+        most, known = f"at most {result.largest_shift:.2f}", result.independent
+        like, turned = f"{known:.2g}", f"{np.degrees(result.difference_rad):.2f} deg"
         return [
-            row("clouds against the smoother", own.verdict),
+            row("clouds against the smoother", result.verdict),
             row("particles of a cloud, clouds, stretches", counts),
-            row("stretches: mean length", f"{own.length_s:.1f} s"),
+            row("stretches: mean length", f"{result.length_s:.1f} s"),
             row("stretches: independent particles of a cloud", like, "at least 1", known >= 1.0),
-            chance("energy distance", own.p),
+            chance("energy distance", result.p),
             *exact,
-            row("stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
-            row("stretches: squared shift (1 expected)", f"{own.squared_shift:.2f}", most),
-            row("stretches: variance (1 expected)", f"{own.spread:.2f}"),
-            row("whole log: path from the smoother's (RMS)", f"{own.path_m:.3f} m"),
-            row("whole log: last pose from the smoother's", f"{own.difference_m:.3f} m, {turned}"),
-            row("whole log: mean effective sample size", f"{own.effective:.0f}"),
-            row("whole log: ancestors in first and middle epoch", f"{own.first}, {own.middle}"),
-            *accuracy_rows("FastSLAM", own.accuracy),
+            row("stretches: energy distance (1 expected)", f"{result.energy:.2f}"),
+            row("stretches: squared shift (1 expected)", f"{result.squared_shift:.2f}", most),
+            row("stretches: variance (1 expected)", f"{result.spread:.2f}"),
+            row("whole log: path from the smoother's (RMS)", f"{result.path_m:.3f} m"),
+            row(
+                "whole log: last pose from the smoother's", f"{result.difference_m:.3f} m, {turned}"
+            ),
+            row("whole log: mean effective sample size", f"{result.effective:.0f}"),
+            row(
+                "whole log: ancestors in first and middle epoch", f"{result.first}, {result.middle}"
+            ),
+            *accuracy_rows("FastSLAM", result.accuracy),
         ]
 
     def draw(self, axis: Axes) -> None:
@@ -220,28 +226,28 @@ def cloud_estimate(cloud: Cloud, time_s: Array) -> Estimate:
     )
 
 
-def _line(own: FastSlamResult) -> str:
-    count = "1 stretch" if len(own.stretches) == 1 else f"{len(own.stretches)} stretches"
-    over = f"over {count} of {own.length_s:.1f} s"
-    if own.agrees is None:
+def _line(result: FastSlamResult) -> str:
+    count = "1 stretch" if len(result.stretches) == 1 else f"{len(result.stretches)} stretches"
+    over = f"over {count} of {result.length_s:.1f} s"
+    if result.agrees is None:
         return f"no verdict {over}: too few particles"
-    if own.agrees and own.exact is not None:
+    if result.agrees and result.exact is not None:
         return f"agrees with the exact posterior, not with its Gaussian ({count})"
-    return f"{own.verdict}s with the smoother {over} (p {own.p:.4f})"
+    return f"{result.verdict}s with the smoother {over} (p {result.p:.4f})"
 
 
-def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
+def _remarks(check: CloudCheck, result: FastSlamResult) -> list[str]:
     depleted = []
-    if own.middle < LEAST_ANCESTORS * own.particles:
+    if result.middle < LEAST_ANCESTORS * result.particles:
         depleted = [
-            f"over the whole log FastSLAM is depleted: {own.middle} of {own.particles} particles "
-            "at its middle epoch have descendants; so the difference of its trajectory from the "
-            f"smoother's, {own.path_m:.2f} m (RMS), is evidence against neither"
+            f"over the whole log FastSLAM is depleted: {result.middle} of {result.particles} "
+            "particles at its middle epoch have descendants; so the difference of its trajectory "
+            f"from the smoother's, {result.path_m:.2f} m (RMS), is evidence against neither"
         ]
     if check.agrees is None:
         return [
-            f"FastSLAM gives no verdict: of clouds of {own.particles} particles, "
-            f"{check.independent:.2g} are independent after stretches of {own.length_s:.1f} s; "
+            f"FastSLAM gives no verdict: of clouds of {result.particles} particles, "
+            f"{check.independent:.2g} are independent after stretches of {result.length_s:.1f} s; "
             "take more particles",
             *depleted,
         ]

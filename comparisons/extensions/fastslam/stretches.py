@@ -102,13 +102,13 @@ class StretchComparison:
 
     def stretches(self, most: int) -> list[EpochStretch]:
         """Return the stretches to compare, by one cloud that starts anew in each."""
-        found: list[EpochStretch] = []
+        epoch_stretches: list[EpochStretch] = []
         first = 0
-        while first < self._last or not found:
-            found.append(self._stretch(first, len(found)))
-            first = found[-1].last
-        few = np.linspace(0, len(found) - 1, min(len(found), most))
-        return [found[k] for k in few.round().astype(int)]
+        while first < self._last or not epoch_stretches:
+            epoch_stretches.append(self._stretch(first, len(epoch_stretches)))
+            first = epoch_stretches[-1].last
+        few = np.linspace(0, len(epoch_stretches) - 1, min(len(epoch_stretches), most))
+        return [epoch_stretches[k] for k in few.round().astype(int)]
 
     def _stretch(self, first: int, number: int) -> EpochStretch:
         """Drive until too few ancestors are left, or to the end of the log."""
@@ -172,11 +172,11 @@ class StretchComparison:
         """Move to an epoch, unless it is the first, and observe; return whether that was done."""
         if epoch > first:
             self._inputs.predict(slam, epoch)
-        seen = self._inputs.seen(epoch)
-        seen = seen.take(np.flatnonzero(seen.identity >= 0))
-        if len(seen):
-            slam.observe(seen)
-        return len(seen) > 0
+        measurements = self._inputs.seen(epoch)
+        measurements = measurements.take(np.flatnonzero(measurements.identity >= 0))
+        if len(measurements):
+            slam.observe(measurements)
+        return len(measurements) > 0
 
 
 def draw_particle(slam: FastSlam, columns: Index) -> Array:
@@ -233,16 +233,16 @@ class StretchPosterior(NamedTuple):
         """
         result, options = self.result, SamplingOptions()
         try:
-            found = sample_posterior(
+            draws = sample_posterior(
                 result.problem, result.poses, result.landmarks, generator, options
             )
         except ValueError:
             return None
-        if not found.converged:
+        if not draws.converged:
             return None
         of_chain = EXACT_DRAWS // options.chains
         rows = np.linspace(0, options.draws - 1, of_chain).astype(int)
-        return self.whitened(found.draws[:, rows].reshape(EXACT_DRAWS, -1))
+        return self.whitened(draws.draws[:, rows].reshape(EXACT_DRAWS, -1))
 
 
 def reference_of(

@@ -164,12 +164,18 @@ class HighLevelSource(FilterObservers):
             return
         scan = self._scans.scan(number, np.zeros(3))
         shape = of_scan(scan.bearing_rad, scan.range_m, scan.sensor)
-        seen = self.landmarks.look(ekf, Glimpse(shape, scan.pose, self._view))
-        if seen:
+        measurements = self.landmarks.look(ekf, Glimpse(shape, scan.pose, self._view))
+        if measurements:
             known = self.landmarks.landmark
-            which = np.array([known[one.number].landmark_index for one in seen], dtype=np.intp)
-            z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
-            self.landmarks.initialised(seen, recorder.observe(ekf, epoch, z, noise, which))
+            which = np.array(
+                [known[measurement.number].landmark_index for measurement in measurements],
+                dtype=np.intp,
+            )
+            z, noise = (
+                np.array([measurement.z for measurement in measurements]),
+                np.array([s.covariance for s in measurements]),
+            )
+            self.landmarks.initialised(measurements, recorder.observe(ekf, epoch, z, noise, which))
 
     def keep_from(self, guard: DynamicGuard) -> None:
         """Landmarks whose template lies where something moves are used no more."""
@@ -177,7 +183,7 @@ class HighLevelSource(FilterObservers):
 
     def run(self) -> HighLevelRun:
         """What came of it, once the filter has finished."""
-        index = [one.landmark_index for one in self.landmarks.landmark]
+        index = [landmark.landmark_index for landmark in self.landmarks.landmark]
         return HighLevelRun(
             searches=len(self._searches),
             corners=sum(len(one.corner) for one in self._searches),
@@ -205,8 +211,8 @@ class HighLevelSource(FilterObservers):
         found = search(around, self.landmarks.rectangles(ekf), self.options.search)
         self._searches.append(found)
         self._searched(time_s, around, found)
-        for one in found.found:
-            self.landmarks.take(one, dense.regions.base[one.region], dense.landmark)
+        for template in found.found:
+            self.landmarks.take(template, dense.regions.base[template.region], dense.landmark)
 
 
 def _view(log: Log) -> SensorView:

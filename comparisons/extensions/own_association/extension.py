@@ -96,7 +96,7 @@ class OwnAssociationCheck:
 
 
 def check_own_association(
-    seen: LandmarkMeasurements,
+    measurements: LandmarkMeasurements,
     epoch: Index,
     landmark_indices: tuple[Index, Index],
     smoothed: Estimate,
@@ -120,7 +120,7 @@ def check_own_association(
         used = np.flatnonzero(landmark_index[differing] >= 0)
         rows = differing[used]
         cost[used, column] = squared_misfit(
-            seen, rows, e.pose[epoch[rows]], e.landmark[landmark_index[rows]]
+            measurements, rows, e.pose[epoch[rows]], e.landmark[landmark_index[rows]]
         )
     partition, pose = compare_partitions(filters, own), block_agreement(*poses)
     return OwnAssociationCheck(
@@ -144,29 +144,29 @@ def check_own_association(
     )
 
 
-def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
+def association_cause(check: OwnAssociationCheck, run: EkfRun) -> Cause:
     """S against S', whose optimum is verified: it stands where S misfits by this association."""
     return Cause(
         "association",
-        f"the smoother's own association moves its last pose by {own.pose_difference_m:.2f} m "
-        f"({own.pose_distance_sigma:.1f} sigma); the two associations share "
-        f"{100.0 * own.agreement:.0f} % of their pairs of measurements, the smoother splits "
-        f"{own.splits} landmarks of the filter and merges others into {own.merges}"
-        + _costliest(own, run),
+        f"the smoother's own association moves its last pose by {check.pose_difference_m:.2f} m "
+        f"({check.pose_distance_sigma:.1f} sigma); the two associations share "
+        f"{100.0 * check.agreement:.0f} % of their pairs of measurements, the smoother splits "
+        f"{check.splits} landmarks of the filter and merges others into {check.merges}"
+        + _costliest(check, run),
         "check the measurements whose association differs: for a wrong loop closure, and for "
         "landmarks too close to distinguish",
     )
 
 
-def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
+def _costliest(check: OwnAssociationCheck, run: EkfRun) -> str:
     """The measurement that fits the filter's landmark the least, of those that differ."""
-    with_both = np.flatnonzero(np.isfinite(own.cost).all(axis=1))
+    with_both = np.flatnonzero(np.isfinite(check.cost).all(axis=1))
     if not len(with_both):
         return ""
-    worst = with_both[np.argmax(own.cost[with_both, 0])]
-    row = own.differing[worst]
+    worst = with_both[np.argmax(check.cost[with_both, 0])]
+    row = check.differing[worst]
     t = run.estimate.time_s[run.timeline.measurement_epoch[row]]
-    theirs, ours = own.cost[worst]
+    theirs, ours = check.cost[worst]
     return (
         f"; the residual of measurement {row} at {t:.1f} s is {theirs**0.5:.1f} sigma with the "
         f"filter's landmark {run.estimate.landmark_id[run.landmark_index[row]]} and "
@@ -217,7 +217,7 @@ class OwnAssociation(Extension):
             prepared.progress("own association", 0, 0)
             found = work.result()
             log, run, estimate = prepared.log, known.ekf, found.estimate
-            own = replace(
+            check = replace(
                 check_own_association(
                     log.measurements,
                     run.timeline.measurement_epoch,
@@ -230,26 +230,26 @@ class OwnAssociation(Extension):
                 association=score_association(found.landmark_index, estimate.landmark, log),
             )
         prepared.clock.add_cpu("own association", work.cpu_s)
-        return OwnAssociationFinding(known, own)
+        return OwnAssociationFinding(known, check)
 
 
 class OwnAssociationFinding(Finding):
     """S against S'. own: the check."""
 
-    def __init__(self, known: Known, own: OwnAssociationCheck) -> None:
+    def __init__(self, known: Known, check: OwnAssociationCheck) -> None:
         """Heard in the verdict when its optimum is verified."""
-        self.own, self._known = own, known
-        self.entries = {"own_association": own}
-        if own.verified and not own.pose.agrees:
-            self.causes = [association_cause(own, known.ekf)]
+        self.own, self._known = check, known
+        self.entries = {"own_association": check}
+        if check.verified and not check.pose.agrees:
+            self.causes = [association_cause(check, known.ekf)]
 
     def rows(self) -> Sequence[Row]:
         """Return how the associations compare, and how good the smoother is with its own."""
-        own, group = self.own, "Smoother with its own association"
+        check, group = self.own, "Smoother with its own association"
         return [
-            *rows_of(group, own),
-            *accuracy_rows("the smoother with its own association", own.accuracy),
-            *(own.association.rows("the smoother") if own.association else ()),
+            *rows_of(group, check),
+            *accuracy_rows("the smoother with its own association", check.accuracy),
+            *(check.association.rows("the smoother") if check.association else ()),
         ]
 
     def layers(self, drawing: Drawing) -> None:
@@ -280,48 +280,53 @@ def solve_with_own_association(
 
     name: of the log. Raises InputError.
     """
-    found = associator.associate()
-    if not found.problem.landmark_count:
+    association = associator.associate()
+    if not association.problem.landmark_count:
         raise InputError(f"{name}: the smoother's own association found no landmark")
-    problem = replace(found.problem, pose_landmarks=pose_landmarks)
-    guesses = {"association": (found.poses, found.landmarks)}
+    problem = replace(association.problem, pose_landmarks=pose_landmarks)
+    guesses = {"association": (association.poses, association.landmarks)}
     result = smooth(problem, guesses, options=options)
-    ids = np.arange(found.problem.landmark_count)
+    ids = np.arange(association.problem.landmark_count)
     estimate = smoothed_estimate(result, associator.epoch_time_s, ids, "its own")
-    return OwnSolution(found.landmark_index, estimate, result.optimality)
+    return OwnSolution(association.landmark_index, estimate, result.optimality)
 
 
 _MOST_ROWS = 200
 
 
-def differing_lines(drawing: Drawing, own: OwnAssociationCheck, run: EkfRun) -> None:
+def differing_lines(drawing: Drawing, check: OwnAssociationCheck, run: EkfRun) -> None:
     """Add lines from poses to the landmarks that filter and smoother assigned measurements to."""
-    row, epoch = own.differing[:MOST_LINES], run.timeline.measurement_epoch
+    row, epoch = check.differing[:MOST_LINES], run.timeline.measurement_epoch
     for name, colour, estimate, landmark_indices in (
         ("associations that differ: EKF", EKF_COLOUR, run.estimate, run.landmark_index),
-        ("associations that differ: smoother", SMOOTHER_COLOUR, own.estimate, own.landmark_index),
+        (
+            "associations that differ: smoother",
+            SMOOTHER_COLOUR,
+            check.estimate,
+            check.landmark_index,
+        ),
     ):
         used = row[landmark_indices[row] >= 0]
         association_lines(drawing, (name, colour), estimate, epoch[used], landmark_indices[used])
 
 
-def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
+def association_differences(check: OwnAssociationCheck, run: EkfRun) -> str:
     """Return a table of the measurements that filter and smoother give to different landmarks."""
     landmark_index, ids = run.landmark_index, run.estimate.landmark_id
     time_s = run.timeline.epoch_time_s[run.timeline.measurement_epoch]
     rows = []
-    for row, cost in zip(own.differing[:_MOST_ROWS].tolist(), own.cost.tolist(), strict=False):
-        ours, theirs = int(landmark_index[row]), int(own.landmark_index[row])
+    for row, cost in zip(check.differing[:_MOST_ROWS].tolist(), check.cost.tolist(), strict=False):
+        ours, theirs = int(landmark_index[row]), int(check.landmark_index[row])
         filters, key = UNUSED.get(ours, "unused"), ""
         if ours >= 0:
             filters, key = str(ids[ours]), f'data-key="{ids[ours]}" tabindex="0"'
         smoothers = f"{theirs}" if theirs >= 0 else "unused"
-        if theirs >= 0 and (counterpart := int(own.matched[theirs])) >= 0:
+        if theirs >= 0 and (counterpart := int(check.matched[theirs])) >= 0:
             smoothers += f" (the filter's {ids[counterpart]})"
         misses = (number(squared**0.5) for squared in cost)
         rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers, *misses)))
-    count, more = len(own.differing), len(own.differing) - len(rows)
-    reported = f"{count:,} of {len(own.landmark_index):,} measurements differ"
+    count, more = len(check.differing), len(check.differing) - len(rows)
+    reported = f"{count:,} of {len(check.landmark_index):,} measurements differ"
     reported += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
     head = (
         *("measurement", "time [s]", "filter's landmark", "smoother's own"),

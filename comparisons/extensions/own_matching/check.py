@@ -135,7 +135,7 @@ class OwnMatchingCheck:
     @property
     def contradicting(self) -> tuple[LandmarkMatching, ...]:
         """Landmarks whose alignments contradict."""
-        return tuple(one for one in self.landmarks if one.contradicts)
+        return tuple(landmark for landmark in self.landmarks if landmark.contradicts)
 
 
 def check_own_matching(
@@ -146,12 +146,16 @@ def check_own_matching(
     optimality: Optimality,
 ) -> OwnMatchingCheck:
     """Compare. measurements: what S and what S'' were given. estimate, optimality: of S''."""
-    filters, own = measurements
-    used = (_later(filters), _later(own))
+    filters, pose_landmark_measurements = measurements
+    used = (_later(filters), _later(pose_landmark_measurements))
     common = sorted(used[0].keys() & used[1].keys())
     rows = [np.array([one[pair] for pair in common], dtype=np.intp) for one in used]
-    difference = pose_difference(filters.measured[rows[0]], own.measured[rows[1]])
-    spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(own, rows[1])
+    difference = pose_difference(
+        filters.measured[rows[0]], pose_landmark_measurements.measured[rows[1]]
+    )
+    spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(
+        pose_landmark_measurements, rows[1]
+    )
     information = np.linalg.inv(spread).astype(np.float64)
     squared = np.einsum("ni,nij,nj->n", difference, information, difference)
     epoch, landmark_index = np.array(common, dtype=np.intp).reshape(-1, 2).T
@@ -160,10 +164,10 @@ def check_own_matching(
         _of_landmark(s, np.flatnonzero(landmark_index == s), at_s, difference, information, squared)
         for s in which
     ]
-    wrong = [one.id for one in landmarks if one.contradicts]
+    wrong = [landmark.id for landmark in landmarks if landmark.contradicts]
     # Of a shift that all share, all speak; a few that contradict are no part of it.
     sound = ~np.isin(landmark_index, wrong if 2 * len(wrong) < len(landmarks) else [])
-    initialised = tuple(ones.count for ones in (filters, own))
+    initialised = tuple(ones.count for ones in (filters, pose_landmark_measurements))
     path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
     last = [Gaussian.of_pose(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
     both = replace(last[1], covariance=last[0].covariance + last[1].covariance)
@@ -176,20 +180,20 @@ def check_own_matching(
     agree = frames.agrees and pose.distance_sigma**2 * 3.0 <= GATE
     return OwnMatchingCheck(
         filter=len(filters.measured) - initialised[0],
-        own=len(own.measured) - initialised[1],
+        own=len(pose_landmark_measurements.measured) - initialised[1],
         common=len(common),
         distance_sigma=_sigma(squared.mean()) if len(squared) else None,
         shift_m=_place(shift),
         shift_rad=float(shift[2]),
         shift_sigma=_sigma(squared_shift) if squared_shift > 0.0 else None,
-        landmarks=tuple(sorted(landmarks, key=lambda one: -one.distance_sigma)),
+        landmarks=tuple(sorted(landmarks, key=lambda landmark: -landmark.distance_sigma)),
         ekf=compare_frames(ekf, estimate),
         smoother=frames,
         pose_difference_m=pose.difference_m,
         pose_distance_sigma=pose.distance_sigma,
         path_ekf_m=rms(path[0]),
         path_smoother_m=rms(path[1]),
-        agrees=agree and not shifted and not any(one.contradicts for one in landmarks),
+        agrees=agree and not shifted and not any(landmark.contradicts for landmark in landmarks),
         verified=optimality.verified,
         chi2=optimality.chi_square.chi2,
         dof=optimality.chi_square.dof,
@@ -197,7 +201,7 @@ def check_own_matching(
         estimates_agree=agree,
         squared=squared,
         estimate=estimate,
-        alignments=own,
+        alignments=pose_landmark_measurements,
     )
 
 
@@ -278,72 +282,73 @@ def _sigma(squared: float) -> float:
     return float(np.sqrt(squared / 3.0))
 
 
-def _later(seen: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
+def _later(measurements: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
     """Rows of measurements by pose and landmark, but for those in which a landmark begins."""
     rows: dict[tuple[int, int], int] = {}
     initialised: set[int] = set()
-    for row in np.argsort(seen.pose, kind="stable").tolist():
-        landmark_index = int(seen.landmark[row])
+    for row in np.argsort(measurements.pose, kind="stable").tolist():
+        landmark_index = int(measurements.landmark[row])
         if landmark_index in initialised:
-            rows[int(seen.pose[row]), landmark_index] = row
+            rows[int(measurements.pose[row]), landmark_index] = row
         initialised.add(landmark_index)
     return rows
 
 
-def _in_poses_frame(seen: PoseLandmarkMeasurements, rows: Index) -> Array:
+def _in_poses_frame(measurements: PoseLandmarkMeasurements, rows: Index) -> Array:
     """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
-    turn = to_tangent(seen.measured[rows, 2])
-    return turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
+    turn = to_tangent(measurements.measured[rows, 2])
+    return turn.transpose(0, 2, 1) @ measurements.covariance[rows] @ turn
 
 
 _NAMED = 3
 """So many landmarks are named."""
 
 
-def matching_cause(own: OwnMatchingCheck) -> Cause:
+def matching_cause(check: OwnMatchingCheck) -> Cause:
     """S against S''."""
     parts = []
     hint = (
         "check the alignments that only one of the two made: at loops, and where places look alike"
     )
-    if own.shifted:
-        (x, y), turn = own.shift_m, own.shift_rad
+    if check.shifted:
+        (x, y), turn = check.shift_m, check.shift_rad
         parts.append(
             f"all alignments of the filter are shifted by {in_words(x, y, digits=3)} "
             f"and {np.degrees(turn):.2f} degrees from the smoother's own "
-            f"({own.shift_sigma:.1f} sigma)"
+            f"({check.shift_sigma:.1f} sigma)"
         )
         hint = "check the sign and zero of the alignment's heading, and the mount of the scanner"
-    if own.contradicting:
-        parts += [_apart_for(one) for one in own.contradicting[:_NAMED]]
-        if len(own.contradicting) > _NAMED:
-            parts.append(f"{len(own.contradicting) - _NAMED} more landmarks differ like this")
-        if not own.shifted:
+    if check.contradicting:
+        parts += [_apart_for(matching) for matching in check.contradicting[:_NAMED]]
+        if len(check.contradicting) > _NAMED:
+            parts.append(f"{len(check.contradicting) - _NAMED} more landmarks differ like this")
+        if not check.shifted:
             hint = (
                 "check the alignments of these landmarks: the axes of the template, R, and another "
                 "place that looks alike"
             )
-    if not own.estimates_agree:
-        pair = own.smoother
-        if own.landmarks and not (own.contradicting or own.shifted):
-            parts.append(f"the largest difference: {_apart_for(own.landmarks[0])}")
+    if not check.estimates_agree:
+        pair = check.smoother
+        if check.landmarks and not (check.contradicting or check.shifted):
+            parts.append(f"the largest difference: {_apart_for(check.landmarks[0])}")
         parts.append(
-            f"the smoother's own matcher moves its last pose by {own.pose_difference_m:.2f} m "
-            f"({own.pose_distance_sigma:.1f} sigma) and its path by {own.path_smoother_m:.2f} m "
-            f"(RMS), and {pair.outside} of {pair.landmarks} scan landmarks lie outside their 99 % "
-            f"region; the filter has {own.filter:,} alignments and the smoother {own.own:,}, of "
-            f"which {own.common:,} have the same landmark and scan"
+            "the smoother's own matcher moves its last pose by "
+            f"{check.pose_difference_m:.2f} m ({check.pose_distance_sigma:.1f} sigma) and its path "
+            f"by {check.path_smoother_m:.2f} m (RMS), and {pair.outside} of {pair.landmarks} scan "
+            f"landmarks lie outside their 99 % region; the filter has {check.filter:,} alignments "
+            f"and the smoother {check.own:,}, of which {check.common:,} have the same landmark and "
+            "scan"
         )
     return Cause("matching", "; ".join(parts), hint)
 
 
-def _apart_for(one: LandmarkMatching) -> str:
+def _apart_for(matching: LandmarkMatching) -> str:
     """How two matchers differ on a landmark, and in which scan the most."""
-    place, worst = np.hypot(*one.shift_m), np.hypot(*one.worst_m)
+    place, worst = np.hypot(*matching.shift_m), np.hypot(*matching.worst_m)
     return (
-        f"the filter's alignments of scan landmark {one.id} differ by {place:.2f} m and "
-        f"{np.degrees(one.shift_rad):.1f} degrees from the smoother's own "
-        f"({one.distance_sigma:.1f} sigma over {one.common} scans; in the scan at "
-        f"{one.worst_time_s:.1f} s {worst:.2f} m and "
-        f"{np.degrees(one.worst_rad):.1f} degrees, {one.worst_sigma:.1f} sigma)"
+        f"the filter's alignments of scan landmark {matching.id} differ by {place:.2f} m and "
+        f"{np.degrees(matching.shift_rad):.1f} degrees from the smoother's own "
+        f"({matching.distance_sigma:.1f} sigma over {matching.common} scans; in the scan at "
+        f"{matching.worst_time_s:.1f} s {worst:.2f} m and "
+        f"{np.degrees(matching.worst_rad):.1f} degrees, {matching.worst_sigma:.1f} sigma)"
     )

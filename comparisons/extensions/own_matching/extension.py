@@ -75,41 +75,41 @@ class OwnMatching(Extension):
 class OwnMatchingFinding(Finding):
     """S against S''. own: the check."""
 
-    def __init__(self, own: OwnMatchingCheck) -> None:
+    def __init__(self, check: OwnMatchingCheck) -> None:
         """Heard in the verdict when its optimum is verified."""
-        self.own = own
-        self.entries = {"own_matching": own}
-        self.estimates = {"own-matcher": own.estimate}
+        self.own = check
+        self.entries = {"own_matching": check}
+        self.estimates = {"own-matcher": check.estimate}
         self.titles = {"own-matcher": "smoother, own matcher"}
-        if not own.verified:
+        if not check.verified:
             self.remarks = [
                 "the optimum of the smoother with its own matcher is not verified, so the "
                 "verdict ignores it"
             ]
-        elif not own.agrees:
-            self.causes = [matching_cause(own)]
+        elif not check.agrees:
+            self.causes = [matching_cause(check)]
 
     def rows(self) -> Sequence[Row]:
         """Return how the alignments compare, and how good the smoother is with its own."""
-        own = self.own
+        check = self.own
         group = "Smoother with its own matcher"
-        shift = float(np.hypot(*own.shift_m))
-        turn = f"{np.degrees(own.shift_rad):.2f} deg"
+        shift = float(np.hypot(*check.shift_m))
+        turn = f"{np.degrees(check.shift_rad):.2f} deg"
         rows = [
-            *rows_of(group, own, ["matcher", "own", "filter", "common"]),
-            Row(group, "difference of the alignments (rms)", in_sigma(own.distance_sigma)),
+            *rows_of(group, check, ["matcher", "own", "filter", "common"]),
+            Row(group, "difference of the alignments (rms)", in_sigma(check.distance_sigma)),
             Row(group, "common shift of the alignments", f"{shift:.3f} m"),
             Row(group, "common turn of the alignments", turn),
-            Row(group, "common shift and turn of the alignments", in_sigma(own.shift_sigma)),
+            Row(group, "common shift and turn of the alignments", in_sigma(check.shift_sigma)),
             *(
                 Row(group, f"alignments by its own matcher: {reason}", f"{count:,}")
-                for reason, count in own.reasons.items()
+                for reason, count in check.reasons.items()
                 if count
             ),
         ]
         for name, pair, path in (
-            ("EKF", own.ekf, own.path_ekf_m),
-            ("smoother", own.smoother, own.path_smoother_m),
+            ("EKF", check.ekf, check.path_ekf_m),
+            ("smoother", check.smoother, check.path_smoother_m),
         ):
             other = f"{name} and smoother with its own matcher"
             agrees = "yes" if pair.agrees else "no"
@@ -119,7 +119,7 @@ class OwnMatchingFinding(Finding):
                 Row(other, "scan landmarks beyond the 99 % region", far),
                 Row(other, "difference of the paths (rms)", f"{path:.3f} m"),
             ]
-        return [*rows, *accuracy_rows("the smoother with its own matcher", own.accuracy)]
+        return [*rows, *accuracy_rows("the smoother with its own matcher", check.accuracy)]
 
     def sections(self) -> Sequence[str]:
         """Return the table of alignments by landmark."""
@@ -133,22 +133,22 @@ def solve_with_own_matching(known: Known, slam: ScanSlamSource) -> OwnMatchingCh
     """
     prepared, run, gaps = known.prepared, known.ekf, known.gaps
     progress = prepared.stage_progress("own matcher")
-    problem, found = own_measurements(prepared.log, run, slam.found.initialised, progress)
+    problem, measurements = own_measurements(prepared.log, run, slam.found.initialised, progress)
     result = smooth(problem, {}, options=gaps.result.options)
     ids = run.estimate.landmark_id
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
-    own = check_own_matching(
-        (run.pose_landmarks, found.alignments),
+    check = check_own_matching(
+        (run.pose_landmarks, measurements.alignments),
         run.estimate,
         gaps.smoothed,
         estimate,
         result.optimality,
     )
     accuracy = assess(estimate, prepared.judged, labelled=False)
-    return replace(own, accuracy=accuracy, reasons=dict(found.reasons))
+    return replace(check, accuracy=accuracy, reasons=dict(measurements.reasons))
 
 
-def matching_differences(own: OwnMatchingCheck) -> str:
+def matching_differences(check: OwnMatchingCheck) -> str:
     """Return a table of how the two matchers' alignments differ, by scan landmark."""
     head = (
         *("landmark", "scans", "sigma", "ahead [m]", "left [m]", "turn [deg]"),
@@ -156,24 +156,25 @@ def matching_differences(own: OwnMatchingCheck) -> str:
     )
     rows = [
         (
-            f'data-key="s{one.id}" tabindex="0" class="{"bad" if one.contradicts else ""}"',
+            f'data-key="s{landmark.id}" tabindex="0" '
+            f'class="{"bad" if landmark.contradicts else ""}"',
             (
-                f"scan {one.id}",
-                str(one.common),
-                number(one.distance_sigma),
-                f"{one.shift_m[0]:.3f}",
-                f"{one.shift_m[1]:.3f}",
-                f"{np.degrees(one.shift_rad):.2f}",
-                f"{one.worst_time_s:.3f}",
-                number(one.worst_sigma),
-                "contradicts" if one.contradicts else "agrees",
+                f"scan {landmark.id}",
+                str(landmark.common),
+                number(landmark.distance_sigma),
+                f"{landmark.shift_m[0]:.3f}",
+                f"{landmark.shift_m[1]:.3f}",
+                f"{np.degrees(landmark.shift_rad):.2f}",
+                f"{landmark.worst_time_s:.3f}",
+                number(landmark.worst_sigma),
+                "contradicts" if landmark.contradicts else "agrees",
             ),
         )
-        for one in own.landmarks
+        for landmark in check.landmarks
     ]
     return (
         f'<h2>Alignments of two matchers</h2><p class="note">The filter\'s minus those of '
-        f"{escape(own.matcher)}, made from the smoother's own estimate, over the scans that both "
+        f"{escape(check.matcher)}, made from the smoother's own estimate, over the scans that both "
         "aligned a landmark with; the worst of these by its time. Sigmas are of the sum of both "
         "covariances; directions that a shape leaves open count next to nothing.</p>"
         f"{sortable('matching', head, rows)}"
@@ -209,7 +210,7 @@ def own_measurements(
         row = cKDTree(returns).query(planar.moved(place, shape))[1]
         own = planar.moved(planar.between(place, np.zeros(3)), returns[row])
         taken[landmark_index] = Template(epoch, place, own)
-    found = measure_templates(
+    measurements = measure_templates(
         problem,
         taken,
         CloudsAt(source, scan_of, settings),
@@ -217,7 +218,7 @@ def own_measurements(
         TemplateOptions.suited(settings, sensor_of(log.scans).sigma_range_m),
         progress,
     )
-    return replace(problem, pose_landmarks=found.factors), found
+    return replace(problem, pose_landmarks=measurements.factors), measurements
 
 
 def _scan_of_epoch(log: Log, source: ScanSource, run: EkfRun) -> dict[int, int]:

@@ -177,7 +177,11 @@ def _below(figure: SampledFigure, limit: float) -> bool:
 def failures(judgement: GaussianJudgement, ids: NDArray[np.int64]) -> list[str]:
     """Return the blocks that fail, in words. ids: (L,) of the landmarks."""
     found = ["the last pose"] if fails(judgement.pose) else []
-    failed = [i for i, one in zip(ids.tolist(), judgement.landmarks, strict=True) if fails(one)]
+    failed = [
+        i
+        for i, comparison in zip(ids.tolist(), judgement.landmarks, strict=True)
+        if fails(comparison)
+    ]
     if len(failed) > 3:
         found.append(f"{len(failed)} of {len(judgement.landmarks)} landmarks")
     else:
@@ -230,8 +234,8 @@ class Posterior(Extension):
                 )
             except ValueError as error:
                 raise InputError(f"{prepared.log.name}: --posterior samples: {error}") from None
-            found = check_posterior(draws, known.ekf.estimate, gaps.smoothed)
-        return PosteriorFinding(found, gaps.smoothed.landmark_id)
+            check = check_posterior(draws, known.ekf.estimate, gaps.smoothed)
+        return PosteriorFinding(check, gaps.smoothed.landmark_id)
 
 
 class PosteriorFinding(Finding):
@@ -255,19 +259,19 @@ class PosteriorFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return the evidence of convergence, then both Gaussians."""
-        one, size = self.check, "least effective sample size"
+        check, size = self.check, "least effective sample size"
         rows = [
-            Row(_GROUP, "draws, unknowns", f"{one.draws:,}, {one.unknowns:,}"),
-            _limited("acceptance", one.acceptance, LEAST_ACCEPTANCE, "at least", ".2f"),
-            _limited("largest R-hat", one.r_hat, LARGEST_R_HAT, "at most", ".3f"),
-            _limited(f"{size}, bulk", one.bulk, LEAST_SAMPLE_SIZE, "at least", ".0f"),
-            _limited(f"{size}, tails", one.tail, LEAST_SAMPLE_SIZE, "at least", ".0f"),
+            Row(_GROUP, "draws, unknowns", f"{check.draws:,}, {check.unknowns:,}"),
+            _limited("acceptance", check.acceptance, LEAST_ACCEPTANCE, "at least", ".2f"),
+            _limited("largest R-hat", check.r_hat, LARGEST_R_HAT, "at most", ".3f"),
+            _limited(f"{size}, bulk", check.bulk, LEAST_SAMPLE_SIZE, "at least", ".0f"),
+            _limited(f"{size}, tails", check.tail, LEAST_SAMPLE_SIZE, "at least", ".0f"),
         ]
-        if one.moments is None:
+        if check.moments is None:
             return [*rows, Row(_GROUP, "judgement of the Gaussians", "not converged")]
-        skewness = np.abs(one.moments.skewness)
+        skewness = np.abs(check.moments.skewness)
         rows.append(Row(_GROUP, "largest skewness", f"{skewness.max():.2f}"))
-        for name, judged in (("EKF", one.ekf), ("smoother", one.smoother)):
+        for name, judged in (("EKF", check.ekf), ("smoother", check.smoother)):
             rows += _judged_rows(name, judged) if judged is not None else []
         return rows
 
@@ -281,12 +285,14 @@ def _limited(quantity: str, value: float | None, limit: float, side: str, form: 
 def _judged_rows(name: str, judged: GaussianJudgement) -> list[Row]:
     blocks = [("last pose", judged.pose), ("whole", judged.whole)]
     if judged.landmarks:
-        worst = min(judged.landmarks, key=lambda one: one.coverage.value)
+        worst = min(judged.landmarks, key=lambda landmark: landmark.coverage.value)
         blocks.insert(1, ("worst landmark", worst))
     rows = []
-    for block, one in blocks:
-        held = f"{100.0 * one.coverage.value:.1f} +- {100.0 * one.coverage.error:.1f} %"
-        ratios = f"{_shown(one.least)} to {_shown(one.largest)}"
+    for block, comparison in blocks:
+        held = (
+            f"{100.0 * comparison.coverage.value:.1f} +- {100.0 * comparison.coverage.error:.1f} %"
+        )
+        ratios = f"{_shown(comparison.least)} to {_shown(comparison.largest)}"
         rows += [
             Row(_GROUP, f"{name}, {block}: posterior in the 95 % ellipsoid", held),
             Row(_GROUP, f"{name}, {block}: variance ratio (1 is exact)", ratios),

@@ -16,13 +16,13 @@ from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 _SIGMAS = 3.0
 
 
-def draw_scan_landmarks(axis: Axes, c: Known, found: ScanLandmarks) -> None:
+def draw_scan_landmarks(axis: Axes, c: Known, landmarks: ScanLandmarks) -> None:
     """Draw templates where the filter has them, and both estimates' axes and ellipses."""
     ekf, surfaces = c.ekf.estimate, c.prepared.log.truth.surfaces
     if surfaces is not None:
         segment = surfaces.segment.reshape(-1, 2, 2)
         axis.add_collection(LineCollection(list(segment), colors="#bbbbbb", linewidths=1.5))
-    points = template_points(found, ekf.pose_landmark_id, ekf.pose_landmarks)
+    points = template_points(landmarks, ekf.pose_landmark_id, ekf.pose_landmarks)
     axis.plot(*points.T, ".", color="#222222", markersize=1.2, label="EKF's templates", zorder=1)
     for name, colour, estimate in _both(c):
         outline = ellipses(estimate.pose_landmarks[:, :2], place_covariances(estimate), _SIGMAS)
@@ -32,10 +32,10 @@ def draw_scan_landmarks(axis: Axes, c: Known, found: ScanLandmarks) -> None:
         axis.add_collection(frames)
 
 
-def scan_landmark_layers(drawing: Drawing, c: Known, found: ScanLandmarks) -> None:
+def scan_landmark_layers(drawing: Drawing, c: Known, landmarks: ScanLandmarks) -> None:
     """Add templates, ellipses and axes; their keys tell them from points."""
     ekf = c.ekf.estimate
-    points = template_points(found, ekf.pose_landmark_id, ekf.pose_landmarks)
+    points = template_points(landmarks, ekf.pose_landmark_id, ekf.pose_landmarks)
     drawing.dots("templates", "#333333", points)
     keys = [f"s{i}" for i in ekf.pose_landmark_id.tolist()]
     blocks = c.gaps.agreement.pose_landmarks
@@ -56,10 +56,10 @@ def _both(c: Known) -> tuple[tuple[str, str, Estimate], ...]:
     return (("smoother", SMOOTHER_COLOUR, c.gaps.smoothed), ("EKF", EKF_COLOUR, c.ekf.estimate))
 
 
-def template_points(found: ScanLandmarks, landmark_index: Index, place: Array) -> Array:
+def template_points(landmarks: ScanLandmarks, landmark_index: Index, place: Array) -> Array:
     """(P, 2) the points of templates with their axes at places (Q, 3) [m]."""
     placed = [
-        found.template[s].shape.transformed(pose).mean
+        landmarks.template[s].shape.transformed(pose).mean
         for s, pose in zip(landmark_index.tolist(), place, strict=True)
     ]
     return np.vstack([np.zeros((0, 2)), *placed])

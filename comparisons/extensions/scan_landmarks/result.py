@@ -30,26 +30,26 @@ _PLACE = "Nieto 2005, sections 5.4 to 5.7"
 
 def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanSlamResult:
     """Return what the scans gave as landmarks."""
-    found, smoothed = source.found, gaps.smoothed
+    landmarks, smoothed = source.found, gaps.smoothed
     return ScanSlamResult(
-        scans=found.scans,
+        scans=landmarks.scans,
         landmarks=[
             ScanLandmark(
-                **vars(one),
+                **vars(landmark),
                 ekf_heading_rad=float(ekf.pose_landmarks[i, 2]),
                 smoother_heading_rad=float(smoothed.pose_landmarks[i, 2]),
-                measurements=found.measurements[one.id],
-                points=len(found.template[one.id].shape),
+                measurements=landmarks.measurements[landmark.id],
+                points=len(landmarks.template[landmark.id].shape),
             )
-            for i, one in enumerate(gaps.agreement.pose_landmarks)
+            for i, landmark in enumerate(gaps.agreement.pose_landmarks)
         ],
-        rejected=found.rejected,
-        dynamic=found.dynamic,
-        deactivated=len(found.moving),
+        rejected=landmarks.rejected,
+        dynamic=landmarks.dynamic,
+        deactivated=len(landmarks.moving),
         fused=source.merged,
         pieces=source.options.extraction.name,
         rule=template_rule(source.options),
-        measurements=dict(found.reasons),
+        measurements=dict(landmarks.reasons),
     )
 
 

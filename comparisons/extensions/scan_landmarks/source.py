@@ -111,7 +111,7 @@ class LogScans:
         self.time_s = time_s[self._number]
         self.sensor, self.mount = sensor_of(log.scans), log.scans.mount.pose
         seen = (self.scan(k, np.zeros(3)) for k in range(len(self)))
-        farthest = max(float(one.range_m.max(initial=0.0)) for one in seen)
+        farthest = max(float(scan.range_m.max(initial=0.0)) for scan in seen)
         self.view = view_to(log.scans, farthest + _MARGIN_M)
         self._rims = np.array((self.view.first_rad, self.view.last_rad))
 
@@ -123,11 +123,11 @@ class LogScans:
         """Scan `number` in the scanner's frame."""
         return self.shape_of(self.scan(number, np.zeros(3)))
 
-    def shape_of(self, seen: Scan, left_out: Mask | None = None) -> SumOfGaussians:
+    def shape_of(self, scan: Scan, left_out: Mask | None = None) -> SumOfGaussians:
         """A scan in the scanner's frame. left_out: (R,) returns to take for none."""
-        way = seen.range_m if left_out is None else np.where(left_out, np.nan, seen.range_m)
+        way = scan.range_m if left_out is None else np.where(left_out, np.nan, scan.range_m)
         # Beams without a return at the rims tell where the view ends.
-        bearing = np.append(seen.bearing_rad, self._rims)
+        bearing = np.append(scan.bearing_rad, self._rims)
         return of_scan(bearing, np.append(way, (np.nan, np.nan)), self.sensor)
 
     def scan(self, number: int, vehicle: Array) -> Scan:
@@ -189,10 +189,10 @@ class ScanSlamSource:
         """This epoch's, without what moves."""
         if self._guard is None:
             return self._scans.shape(self._next)
-        seen = self._scans.scan(self._next, ekf.read_pose().pose)
-        moves = self._guard.is_dynamic(seen.point)
+        scan = self._scans.scan(self._next, ekf.read_pose().pose)
+        moves = self._guard.is_dynamic(scan.point)
         self.found.dynamic += int(np.count_nonzero(moves))
-        return self._scans.shape_of(seen, moves)
+        return self._scans.shape_of(scan, moves)
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """The scan of this epoch, if there is one. Raises FilterDivergedError."""

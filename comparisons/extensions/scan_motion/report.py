@@ -100,7 +100,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
         """The findings, read being the time that reading the log took."""
         f = front_end
         reasons = [*([f.motion.lacks] if f.motion.lacks else []), *lacking(f.graph.optimality)]
-        remarks = [*_remarks(f), *(one for one in f.known.remarks if one not in reasons)]
+        remarks = [*_remarks(f), *(remark for remark in f.known.remarks if remark not in reasons)]
         return FrontEndResult(
             odometry=scan_odometry_result(f.motion, seconds=f.prepared.clock.seconds["odometry"]),
             loops=LoopResult(
@@ -191,8 +191,10 @@ def _remarks(f: FrontEnd) -> list[str]:
     beyond = 0 if stream is None else len(stream.time_s) - len(f.motion.source.row)
     if beyond:
         remarks.append(f"{beyond} scans lie outside the time of the odometry and were left out")
-    seen = f.log.measurements
-    beyond = int(np.count_nonzero(~measurements_kept(f.log, f.motion))) if seen.labelled else 0
+    measurements = f.log.measurements
+    beyond = (
+        int(np.count_nonzero(~measurements_kept(f.log, f.motion))) if measurements.labelled else 0
+    )
     if beyond:
         remarks.append(f"{beyond} measurements lie outside the time of the scans and were left out")
     remarks += f.motion.remarks

@@ -38,8 +38,8 @@ class Reader(NamedTuple):
             )
         read = import_module(self.module).read
         more = (robot,) * self.robots + (topics,) * self.topics
-        found: Log = read(path, *more)
-        return found
+        log: Log = read(path, *more)
+        return log
 
 
 _HERE = "comparisons.logs.readers"

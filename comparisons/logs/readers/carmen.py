@@ -63,10 +63,10 @@ def read(path: Path) -> Log:
     if not sweeps:
         raise InputError(f"{path}: expected at least one FLASER or ROBOTLASER1 line")
     mount, grid = _mount(path, sweeps), reader.beams[kind]
-    lines, times = [one.line for one in sweeps], np.array([one.times_s for one in sweeps])
+    lines, times = [sweep.line for sweep in sweeps], np.array([sweep.times_s for sweep in sweeps])
     clock = _clock(lines, times)
     order, time_s, repeated, swapped = _in_order(times, clock)
-    start, pose = time_s[0], np.array([one.poses[3:] for one in sweeps])[order]
+    start, pose = time_s[0], np.array([sweep.poses[3:] for sweep in sweeps])[order]
     time_s = time_s - start
     source = f"the robot's pose in the {kind} lines"
     untimed = sum(row[1] == 0 for row in reader.odometry)
@@ -194,7 +194,7 @@ def _odometry(path: Path, rows: Array, clock: _Clock, scans: list[int]) -> Array
 
 def _mount(path: Path, sweeps: list[CarmenLaserLine]) -> Mount:
     """The laser seen from the robot, which all lines must agree on."""
-    laser, robot = (np.array([one.poses[k : k + 3] for one in sweeps]) for k in (0, 3))
+    laser, robot = (np.array([sweep.poses[k : k + 3] for sweep in sweeps]) for k in (0, 3))
     offset = (laser[:, :2] - robot[:, :2]) @ np.array([1.0, 1j]) * np.exp(-1j * robot[:, 2])
     turn = np.angle(np.exp(1j * (laser[:, 2] - robot[:, 2])))
     # Numbers are printed to a few digits only: the middle of all is better than the first.

@@ -77,10 +77,14 @@ def read(path: Path, robot: int) -> Log:
     with measured.locating():
         everything = _measurements(measured, start, subject)
     kept = (subject > _ROBOTS) & ~early
-    seen = everything.chosen(kept)
-    slant = seen.range_m / (_DEPTH_GAIN * np.cos(seen.bearing_rad))
+    landmark_measurements = everything.chosen(kept)
+    slant = landmark_measurements.range_m / (
+        _DEPTH_GAIN * np.cos(landmark_measurements.bearing_rad)
+    )
     sigma_m = np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * slant)
-    measurements = replace(seen, range_m=slant, sigma_range_m=sigma_m, label_gate=_LABEL_GATE)
+    measurements = replace(
+        landmark_measurements, range_m=slant, sigma_range_m=sigma_m, label_gate=_LABEL_GATE
+    )
     variance = surveyed.data[:, 3:5] ** 2
     with surveyed.locating():
         landmarks = Landmarks(

@@ -57,19 +57,21 @@ def detections(message: Any, place: str) -> MessagePoints | None:
     detection's own id, and separated by the class of the best result.
     """
     points, covariances, labels, kinds = [], [], [], []
-    for one in message.detections:
-        best = max(one.results, key=_score, default=None)
+    for detection in message.detections:
+        best = max(detection.results, key=_score, default=None)
         position = np.zeros(3)
         covariance = np.full((3, 3), np.nan)
         if best is not None:
             position = _point(best.pose.pose.position)
             covariance = np.asarray(best.pose.covariance, dtype=float).reshape(6, 6)[:3, :3]
-        if not position.any() and hasattr(one.bbox.center, "orientation"):
-            position, covariance = _point(one.bbox.center.position), np.full((3, 3), np.nan)
+        if not position.any() and hasattr(detection.bbox.center, "orientation"):
+            position, covariance = _point(detection.bbox.center.position), np.full((3, 3), np.nan)
         if position.any():
             points.append(position)
             covariances.append(covariance)
-            labels.append(str(getattr(one, "tracking_id", "") or getattr(one, "id", "")))
+            labels.append(
+                str(getattr(detection, "tracking_id", "") or getattr(detection, "id", ""))
+            )
             kinds.append("" if best is None else _kind(best))
     return _points(points, covariances, labels, kinds, place)
 

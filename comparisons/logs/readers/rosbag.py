@@ -445,16 +445,16 @@ def _scan_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | None
     return replace(stream, items=items)
 
 
-def _filled(grid: BeamGrid, found: LaserScanMessage) -> LaserScanMessage:
+def _filled(grid: BeamGrid, message: LaserScanMessage) -> LaserScanMessage:
     """A sweep with all beams of the grid."""
-    if len(found.angle_rad) == len(grid.angle_rad):
-        return found
-    angle = found.angle_rad
+    if len(message.angle_rad) == len(grid.angle_rad):
+        return message
+    angle = message.angle_rad
     return replace(
-        found,
+        message,
         angle_rad=grid.angle_rad,
-        range_m=grid.filled(angle, found.range_m),
-        intensity=grid.filled(angle, found.intensity, 0.0),
+        range_m=grid.filled(angle, message.range_m),
+        intensity=grid.filled(angle, message.intensity, 0.0),
     )
 
 
@@ -473,9 +473,9 @@ def _point_stream(bag: ros_bag.Bag, provenance: dict[str, str]) -> _Stream | Non
             provenance["measurements"] = f"left out: {fault}"
             return None
         convert = ros_points.markers if kind == ros_bag.MARKERS else ros_points.detections
-        found = _stream(bag, kind, convert, provenance)
-        if found is not None:
-            return found
+        stream = _stream(bag, kind, convert, provenance)
+        if stream is not None:
+            return stream
         if kind in chosen:
             raise InputError(
                 f"{bag.path}: {bag.topics(kind)[0].name}: no message holds a point with a position"

@@ -93,9 +93,9 @@ def cast_rings(
     way = np.full((len(angle_rad), len(elevation_rad)), np.inf)
     for ring, slope in enumerate(np.tan(elevation_rad).tolist()):
         nearest = way[:, ring]
-        for found, top in ((walls, wall_top), (discs, disc_top)):
-            met = height_m + found.enter_m * slope <= top
-            np.minimum.at(nearest, found.beam[met], found.enter_m[met])
+        for crossings, top in ((walls, wall_top), (discs, disc_top)):
+            met = height_m + crossings.enter_m * slope <= top
+            np.minimum.at(nearest, crossings.beam[met], crossings.enter_m[met])
         if slope >= 0.0:
             continue
         nearest[:] = np.minimum(nearest, height_m / -slope)

@@ -46,10 +46,10 @@ def sensed(log: Log, range_: Line = UNCHANGED, bearing: Line = UNCHANGED) -> Log
 
     range_: of the range [m], which stays positive. bearing: of the bearing [rad], which is wrapped.
     """
-    seen = log.measurements
-    range_m = np.maximum(range_[0] * seen.range_m + range_[1], 1e-3)
-    angle = np.angle(np.exp(1j * (bearing[0] * seen.bearing_rad + bearing[1])))
-    return replace(log, measurements=replace(seen, range_m=range_m, bearing_rad=angle))
+    measurements = log.measurements
+    range_m = np.maximum(range_[0] * measurements.range_m + range_[1], 1e-3)
+    angle = np.angle(np.exp(1j * (bearing[0] * measurements.bearing_rad + bearing[1])))
+    return replace(log, measurements=replace(measurements, range_m=range_m, bearing_rad=angle))
 
 
 def delayed(log: Log, delay_s: float) -> Log:

@@ -20,15 +20,15 @@ def join_known_measurements(log: Log) -> Log:
     known = log.known_measurements
     if known is None or not len(known.time_s):
         return log
-    seen = log.measurements
-    order = np.argsort(np.concatenate((seen.time_s, known.time_s)), kind="stable")
+    measurements = log.measurements
+    order = np.argsort(np.concatenate((measurements.time_s, known.time_s)), kind="stable")
     raised = replace(known, landmark=known.landmark + SURVEYED)
     columns: dict[str, Any] = {
         name: np.concatenate((value, getattr(raised, name)))[order]
-        for name, value in vars(seen).items()
+        for name, value in vars(measurements).items()
         if isinstance(value, np.ndarray)
     }
-    return replace(log, measurements=replace(seen, **columns), known_measurements=None)
+    return replace(log, measurements=replace(measurements, **columns), known_measurements=None)
 
 
 def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:

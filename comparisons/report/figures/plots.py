@@ -179,8 +179,8 @@ def _(result: Comparison, axis: Axes) -> None:
     )
     estimates = {"smoother": result.smoothed, "EKF": result.ekf.estimate}
     _draw_estimates(axis, result.log, result.dead_reckoned, estimates)
-    for found in result.findings.values():
-        found.draw(axis)
+    for finding in result.findings.values():
+        finding.draw(axis)
     entitle(axis, title)
 
 

@@ -65,8 +65,8 @@ def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
         "curves": curves,
         "bands": bands,
         "moments": [
-            {"name": one.name, "colour": themed(one.colour), "x": round(one.x - start, 3)}
-            for one in panel.moments
+            {"name": moment.name, "colour": themed(moment.colour), "x": round(moment.x - start, 3)}
+            for moment in panel.moments
         ],
     }
 
