@@ -1,19 +1,31 @@
-"""`slamcheck compare`: results of several jobs side by side."""
+"""`slamcheck compare`: results of several jobs, or trajectories, side by side."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from comparisons.cli.support import AGREE, guarded
+from comparisons.errors import InputError, naming
+
+if TYPE_CHECKING:
+    from comparisons.report.side_by_side import ComparedResult
 
 
 def compare(
-    folders: Annotated[
-        list[Path], typer.Argument(metavar="FOLDER", help="Output folders to compare.")
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PATH",
+            help="Output folders; or trajectories, of which the first is the reference.",
+        ),
     ],
+    align: Annotated[
+        bool,
+        typer.Option(help="Turn and move each trajectory to the first before, without scale."),
+    ] = False,
     only: Annotated[
         list[str],
         typer.Option(
@@ -27,15 +39,20 @@ def compare(
         typer.Option(metavar="FILE", help="Write the table also to a .csv, .tex or .html file."),
     ] = None,
 ) -> None:
-    """Put the results of several runs side by side.
+    """Put the results of several runs, or several trajectories, side by side.
 
-    The table shows verdicts, causes and the figures that differ. The folders may be of run, solve,
-    check, odometry, map and montecarlo, also mixed: equal names share a row.
+    Of output folders the table shows verdicts, causes and the figures that differ. They may be of
+    run, solve, check, odometry, map and montecarlo, also mixed: equal names share a row.
+
+    Of trajectories (TUM, KITTI, CSV, EuRoC, a bag, a folder with trajectory.tum) it shows the
+    errors against the first by the definitions of evo's ape and rpe, and NEES where there are
+    covariances. Their stamps agree within 0.01 s.
 
     \b
     Examples:
       slamcheck compare report-full report-compressed
       slamcheck compare a b c --only accuracy --out table.tex
+      slamcheck compare truth.tum mine.tum theirs.tum --align
     """
     with guarded():
         from rich.console import Console
@@ -44,13 +61,45 @@ def compare(
 
         if out is not None:
             report.check_table(out)
-        rows = report.side_by_side(report.read_results(folders), only)
-        names = [folder.name for folder in folders]
+        if any(report.is_result(path) for path in paths):
+            results, titled = _of_jobs(paths, align=align), paths
+        else:
+            results, titled = _of_trajectories(paths, align=align), paths[1:]
+            only = only or ["*"]
+        rows = report.side_by_side(results, only)
+        names = [path.name for path in titled]
         titles = [
-            str(folder) if names.count(folder.name) > 1 else folder.name or str(folder)
-            for folder in folders
+            str(path) if names.count(path.name) > 1 else path.name or str(path) for path in titled
         ]
         report.print_side_by_side(titles, rows, Console())
         if out is not None:
             report.write_table(titles, rows, out)
         raise SystemExit(AGREE)
+
+
+def _of_jobs(folders: list[Path], *, align: bool) -> list[ComparedResult]:
+    from comparisons.report.side_by_side import read_results
+
+    if align:
+        raise InputError(f"{folders[0]}: holds a result; --align is for trajectories")
+    return read_results(folders)
+
+
+def _of_trajectories(paths: list[Path], *, align: bool) -> list[ComparedResult]:
+    """The errors of each against the first. Raises InputError."""
+    from comparisons.checks.path_errors import path_errors
+    from comparisons.estimates.external import read_external
+    from comparisons.report.side_by_side import result_of_path
+
+    if len(paths) < 2:
+        raise InputError(
+            f"{paths[0]}: holds no result of a job, and a trajectory alone has nothing to be "
+            "compared with; give the reference before it"
+        )
+    reference, *estimates = (read_external(path) for path in paths)
+    results = []
+    for path, estimate in zip(paths[1:], estimates, strict=True):
+        with naming(path):
+            errors = path_errors(estimate, reference, align=align)
+        results.append(result_of_path(errors, paths[0].name, aligned=align))
+    return results

@@ -1,4 +1,4 @@
-"""Results of several jobs side by side, from the folders they left: printed, CSV, LaTeX, HTML."""
+"""Results of several jobs, or trajectories, side by side: printed, CSV, LaTeX, HTML."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
+from comparisons.checks.path_errors import PathErrors
 from comparisons.errors import InputError, outdated_format, printable, shorten
 from comparisons.figures import kept_fields, numbers
 from comparisons.logs.log_meta import first_fault
@@ -80,6 +81,21 @@ class ComparedResult:
 def read_results(folders: Sequence[Path]) -> list[ComparedResult]:
     """Results of any job, from its folder. Raises InputError."""
     return [_read(folder) for folder in folders]
+
+
+def is_result(folder: Path) -> bool:
+    """Whether a folder holds a result of a job."""
+    return any((folder / f"{name}.json").is_file() for name in _FILES)
+
+
+def result_of_path(errors: PathErrors, reference: str, *, aligned: bool) -> ComparedResult:
+    """A trajectory's errors as a result. reference: what it was compared with."""
+    words = {
+        "compared with": reference,
+        "alignment": "turned and moved" if aligned else "none",
+        "poses compared": f"{len(errors.time_s):,} of {errors.poses:,}",
+    }
+    return ComparedResult(words, errors.figures())
 
 
 def side_by_side(results: Sequence[ComparedResult], only: Sequence[str] = ()) -> list[Row]:
@@ -320,7 +336,7 @@ _TABLES: dict[str, Callable[[Sequence[str], Sequence[Row]], str]] = {
     ".tex": _latex,
     ".html": _html,
 }
-_FIRST = rb"(verdict|first cause|grade|job|log|filter|association|attributes|gps)"
+_FIRST = rb"(compared with|verdict|first cause|grade|job|log|filter|association|attributes|gps)"
 """Name of a table's first row."""
 _KINDS = {
     suffix: Kind("an earlier table of compare", begins(pattern))

@@ -1,0 +1,144 @@
+"""Errors of one trajectory against another, by evo's definitions: no log, no truth is needed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from comparisons.arrays import Array, Index
+from comparisons.checks.accuracy import relative_errors, rigid_motion
+from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate
+from comparisons.plane import squared_distance
+from ekf_reference.core.geometry import wrap_angle
+
+TOGETHER_S = 0.01
+"""Stamps that are no farther apart are of one instant, as evo's `--t_max_diff` has it."""
+
+
+class PathErrors(NamedTuple):
+    """Errors of an estimate's poses (K, 3) at the instants (N,) that both trajectories have.
+
+    Attributes:
+        time_s: (N,) of the reference.
+        place_m: (N,) distances from the reference's positions (evo's APE).
+        heading_rad: (N,) turns from its headings, from 0 to pi.
+        moved_m: (P,) differences of the motion over 10 m of the reference's path (evo's RPE).
+        turned_rad: (P,) and of the turn on it.
+        poses: K, those of the estimate.
+        nees: Squared errors over their covariance per degree of freedom, expected 1; None where the
+            estimate has no covariances, or was aligned.
+    """
+
+    time_s: Array
+    place_m: Array
+    heading_rad: Array
+    moved_m: Array
+    turned_rad: Array
+    poses: int
+    nees: float | None
+
+    def figures(self) -> dict[str, float | None]:
+        """Return all errors by name, in metres and degrees."""
+        every = {
+            "ape_m": self.place_m,
+            "ape_deg": np.degrees(self.heading_rad),
+            "rpe_10m_m": self.moved_m,
+            "rpe_10m_deg": np.degrees(self.turned_rad),
+        }
+        figures: dict[str, float | None] = {
+            f"{name}.{word}": number
+            for name, errors in every.items()
+            for word, number in _statistics(errors).items()
+        }
+        return figures | {"nees_per_dof": self.nees}
+
+
+def path_errors(
+    estimate: ExternalEstimate, reference: ExternalEstimate, *, align: bool = False
+) -> PathErrors:
+    """Compare two trajectories where their stamps agree.
+
+    Args:
+        estimate: Whose errors are asked for.
+        reference: What it is compared with.
+        align: Turn and move the estimate first, without scale, to fit the reference best in least
+            squares of the positions.
+
+    Raises:
+        InputError: No stamps of the two agree.
+    """
+    ours, theirs = _matched(estimate.time_s, reference.time_s)
+    if not len(ours):
+        spans = " and ".join(
+            f"{path.time_s[0]:.6f} to {path.time_s[-1]:.6f} s" for path in (estimate, reference)
+        )
+        raise InputError(
+            f"no stamps of the trajectories are within {TOGETHER_S:g} s of each other: they have "
+            f"{spans}"
+        )
+    pose, true = estimate.pose[ours], reference.pose[theirs]
+    nees = None
+    if align:
+        pose = _aligned(pose, true)
+    elif estimate.pose_covariance is not None:
+        nees = _nees(pose, true, estimate.pose_covariance[ours])
+    moved_m, turned_rad = relative_errors(pose, true)
+    return PathErrors(
+        time_s=reference.time_s[theirs],
+        place_m=np.hypot(*(pose - true)[:, :2].T),
+        heading_rad=np.abs(wrap_angle(pose[:, 2] - true[:, 2])),
+        moved_m=moved_m,
+        turned_rad=turned_rad,
+        poses=len(estimate.pose),
+        nees=nees,
+    )
+
+
+def _matched(ours_s: Array, theirs_s: Array) -> tuple[Index, Index]:
+    """Rows of stamps that agree: of the fewer stamps each with the nearest of the others."""
+    if len(ours_s) > len(theirs_s):
+        theirs, ours = _matched(theirs_s, ours_s)
+        return ours, theirs
+    after = np.clip(np.searchsorted(theirs_s, ours_s), 1, max(len(theirs_s) - 1, 1))
+    after = np.minimum(after, len(theirs_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer_before = np.abs(theirs_s[before] - ours_s) <= np.abs(theirs_s[after] - ours_s)
+    nearest = np.where(nearer_before, before, after)
+    together = np.abs(theirs_s[nearest] - ours_s) <= TOGETHER_S
+    return np.flatnonzero(together), nearest[together]
+
+
+def _aligned(pose: Array, reference: Array) -> Array:
+    """Poses (N, 3) turned and moved to those of a reference (N, 3)."""
+    motion = rigid_motion(pose[:, :2], reference[:, :2])
+    origin, ahead = motion(np.array(((0.0, 0.0), (1.0, 0.0))))
+    east, north = ahead - origin
+    return np.column_stack((motion(pose[:, :2]), pose[:, 2] + np.arctan2(north, east)))
+
+
+def _nees(pose: Array, true: Array, covariance: Array) -> float | None:
+    """Mean squared error over its covariance (N, 3, 3), a degree of freedom."""
+    error = pose - true
+    error[:, 2] = wrap_angle(error[:, 2])
+    finite = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
+    valid = finite[np.linalg.eigvalsh(covariance[finite])[:, 0] > 0.0]
+    if not len(valid):
+        return None
+    squared = squared_distance(error[valid], covariance[valid])
+    return float(np.mean(squared) / error.shape[1])
+
+
+def _statistics(errors: Array) -> dict[str, float]:
+    """Of errors (N,); none where there are no errors."""
+    if not len(errors):
+        return {}
+    return {
+        "rms": float(np.sqrt(np.mean(errors**2))),
+        "mean": float(errors.mean()),
+        "median": float(np.median(errors)),
+        "std": float(errors.std()),
+        "min": float(errors.min()),
+        "max": float(errors.max()),
+    }
