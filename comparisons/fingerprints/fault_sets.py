@@ -70,7 +70,8 @@ class LinearEffects:
             size: n, numbers that are compared.
         """
         self.size = size
-        self._faults = [fault for fault, _ in faults]
+        self._alone, self._derivatives = dict(faults), dict(families)
+        self._faults = list(self._alone)
         self._whole = np.array([made for _, made in faults]).reshape(-1, size)
         self._families = list[Family]()
         self._like = list[list[Family]]()
@@ -95,6 +96,16 @@ class LinearEffects:
             self._families.append(family)
             self._like.append([])
             self._slope = np.vstack((self._slope, along))
+
+    def change(self, base: Fault, numbers: Iterable[tuple[Family, float]]) -> Array:
+        """Return what faults change together (n,) as far as it is linear.
+
+        numbers: of families, from that of no fault on.
+        """
+        change = np.zeros(self.size) if base is NONE else self._alone[base].copy()
+        for family, number in numbers:
+            change += number * self._derivatives[family]
+        return change
 
     def likely(self, left: Array) -> Iterator[FaultSet]:
         """Yield sets of several faults that may leave the least, those of few first.

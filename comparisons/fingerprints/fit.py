@@ -48,6 +48,14 @@ class FaultFit:
         return together(self.base, *kept)
 
     @property
+    def from_neutral(self) -> list[tuple[Family, float]]:
+        """How far each number, of a factor its logarithm, is from that of no fault."""
+        return [
+            (family, float(at - _neutral(family)))
+            for family, at in zip(self.families, self.at, strict=True)
+        ]
+
+    @property
     def norm(self) -> float:
         """Of what is left."""
         return float(np.linalg.norm(self.left))

@@ -66,6 +66,9 @@ _NO_CHANGE = 1e-9
 _LITTLE, _MOST_LIKE = 0.1, 6
 """Share of the difference that a set of faults leaves for others like them to be tried, and how
 many of these are."""
+_CHOICES, _SOME = 3, 0.5
+"""How often sets are chosen: again after a fit, beside what is not linear in it; and the most that
+this may leave, as a share of the difference."""
 _FAR = 10.0
 """What several faults leave, and so many times more than another order of updates can move."""
 
@@ -355,21 +358,35 @@ class FaultTrial:
         if self.neutral is None or len(self.neutral) != effects.size:
             return None
         best: tuple[FaultFit, FaultSet] | None = None
-        for faults in effects.likely(self.neutral):
-            for fit in self._fits(faults):
-                if best is None or fit.norm < best[0].norm:
-                    best = fit, faults
-                if fit.near(self.least):
-                    return best
+        left, tried = self.neutral, set[tuple[Fault, tuple[Family, ...]]]()
+        for _ in range(_CHOICES):
+            before = best
+            for faults in effects.likely(left):
+                if faults[:2] in tried:
+                    continue
+                tried.add(faults[:2])
+                for fit in self._fits(faults):
+                    if best is None or fit.norm < best[0].norm:
+                        best = fit, faults
+                    if fit.near(self.least):
+                        return best
+            if best is before or best is None or self._share_left(best[0]) > _SOME:
+                break
+            left = best[0].left - effects.change(best[0].base, best[0].from_neutral)
         return best
+
+    def _share_left(self, fit: FaultFit) -> float:
+        """What a fit leaves of the first poses, as a share of what is left without a fault."""
+        without = 0.0 if self.neutral is None else float(np.linalg.norm(self.neutral))
+        return fit.norm / without if without else np.inf
 
     def _fits(self, faults: FaultSet) -> Iterator[FaultFit]:
         """Fits of a set, then, where it leaves little, of those that are nearly the same."""
         fit = self._settled_set(faults.base, faults.families)
-        if fit is None or self.neutral is None:
+        if fit is None:
             return
         yield fit
-        if fit.norm <= _LITTLE * float(np.linalg.norm(self.neutral)):
+        if self._share_left(fit) <= _LITTLE:
             for families in islice(faults.others(), _MOST_LIKE):
                 other = self._settled_set(faults.base, families)
                 if other is not None:
