@@ -126,24 +126,26 @@ def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> 
     cause = Cause(gap=kind, evidence="measured", hint="look")
     text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": [cause]}))
     known = every_explanation()[kind]
-    card = text[text.index('id="outcome"') : text.index('id="gaps"')]
-    sought = (">Look.", escape(known.title), ">measured<", escape(known.meaning))
+    card = text[text.index('id="outcome"') : text.index('id="beside"')]
+    sought = (escape(known.title), ">look<", ">measured<", escape(known.meaning))
     places = [card.index(part) for part in sought]
     assert places == sorted(places)
     assert escape(known.check) in card
 
 
-def test_what_to_do_comes_first_and_each_fact_is_a_sentence(comparison: Comparison) -> None:
-    """Of the first cause above all, of others at the head of their cards."""
+def test_the_verdict_comes_first_then_what_to_do_and_each_fact_is_a_sentence(
+    comparison: Comparison,
+) -> None:
+    """What to do stands at the head of each card."""
     causes = [
         Cause(gap="model", evidence="it is 3 off; two things (a; b); and 5 more", hint="mend it"),
         Cause(gap="algebra", evidence="one thing (a; b)", hint="then this."),
     ]
     text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": causes}))
-    top = text[text.index('id="outcome"') : text.index('id="gaps"')]
-    assert top.startswith('id="outcome"><p class="words">Mend it. EKF and smoother')
+    top = text[text.index('id="outcome"') : text.index('id="beside"')]
+    assert top.startswith('id="outcome"><p class="words">EKF and smoother')
     first, second = top.split('class="cause"')[1:]
-    assert "mend it" not in first
+    assert first.index('<p class="hint">mend it<') < first.index("<li>it is 3 off</li>")
     assert re.findall("<li>(.*?)</li>", first) == ["it is 3 off", "two things (a; b)", "and 5 more"]
     assert second.index('<p class="hint">then this.') < second.index("<p>one thing (a; b)</p>")
 

@@ -21,17 +21,16 @@
     for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 7 * unit);
     ring.setAttribute('r', 12 * unit);
     // Of names that would cover each other the first one stays.
-    const taken = new Set();
+    const taken = [];
     names.setAttribute('font-size', 11 * unit);
     for (const name of names.children) {
-      const wide = Math.ceil(name.textContent.length / 4);
       const [x, y] = ['x', 'y'].map(k => Number(name.getAttribute(k)) / unit);
-      const column = Math.floor(x / 28), row = Math.floor(y / 14);
-      const cells = Array.from({ length: wide }, (_, i) => `${column + i},${row}`);
-      const free = !cells.some(cell => taken.has(cell));
+      const end = x + 7 * name.textContent.length + 3;
+      const free = !taken.some(other =>
+        x < other.end && other.x < end && Math.abs(y - other.y) < 13);
       name.setAttribute('visibility', free ? 'inherit' : 'hidden');
       name.setAttribute('dx', 6 * unit);
-      if (free) for (const cell of cells) taken.add(cell);
+      if (free) taken.push({ x, y, end });
     }
     const length = niceStep(130 * unit * metres), bar = document.getElementById('scale');
     bar.style.width = `${length / metres / unit}px`;

@@ -1,4 +1,4 @@
-"""`report.html`: verdict, causes and gaps first, then map and curves, figures and tables.
+"""`report.html`: verdict and causes, map and gaps beside them, then curves, figures and tables.
 
 What a section needs is loaded where the page has it: an audit's page knows nothing of planar maps.
 """
@@ -34,8 +34,7 @@ class PageContent:
 
     Of what a job lacks there is no section. job: the command that `config.toml` beside the page
     runs again, if one is there. name: of the log. headline: the verdict in full. colour: `agree`,
-    `disagree`, `unverified`, or none. about: of log and estimate. words: the verdict as sentences,
-    behind what to do about the first cause.
+    `disagree`, `unverified`, or none. about: of log and estimate. words: the verdict as sentences.
     reasons: for it, that are no causes. facts: the figures that it rests on, by name. steps: the
     ladder of gaps. reported: what the curves show, and why others are not there. curves_file: a
     picture with the same curves. pictures: files, to be embedded. sections: HTML of ours.
@@ -120,10 +119,9 @@ def page(content: PageContent) -> str:
     same = f"; the same curves are in {c.curves_file}" if c.curves_file else ""
     parts = [
         *header,
-        _top(c),
+        f"<main>{_top(c, where)}"
         f'<noscript><p class="note">Curves, layers and sorting need JavaScript{same}.</p>'
-        "</noscript>",
-        f"<main>{where}{when}{_slider(now) if where else ''}</main>",
+        f"</noscript>{when}{_slider(now) if where else ''}</main>",
         _figures(c.rows),
         *_embedded(c.pictures),
         *c.sections,
@@ -143,12 +141,10 @@ def _start(c: PageContent) -> float:
     return min((float(curve.x[0]) for panel in c.panels for curve in panel.curves[:1]), default=0.0)
 
 
-def _top(c: PageContent) -> str:
-    """Verdict and causes, gaps, and what stands beside them."""
+def _top(c: PageContent, where: str) -> str:
+    """Verdict and causes with what they rest on, and beside these the map and the gaps."""
     facts = "".join(f"<dt>{escape(name)}</dt><dd>{prose(text)}</dd>" for name, text in c.facts)
-    hint = c.causes[0].hint.removesuffix(".") if c.causes else ""
-    first = [f"{prose(hint[0].upper() + hint[1:])}."] if hint else []
-    words = f'<p class="words">{" ".join([*first, escape(c.words)])}</p>' if c.words else ""
+    words = f'<p class="words">{escape(c.words)}</p>' if c.words else ""
     why = "".join(f"<li>{prose(reason)}</li>" for reason in c.reasons)
     gaps = ""
     if c.steps:
@@ -156,16 +152,18 @@ def _top(c: PageContent) -> str:
 
         ladder = ladder_picture(c.steps)
         gaps = f'<section id="gaps"><h2>Gaps between the estimates</h2>{ladder}</section>'
-    return "".join(
+    told = "".join(
         [
-            f'<div id="top"><section id="outcome">{words}',
-            *(_cause(cause, led=bool(words) and i == 0) for i, cause in enumerate(c.causes)),
+            f'<section id="outcome">{words}',
+            *(_cause(cause) for cause in c.causes),
             f'<ul class="reasons">{why}</ul>' if why else "",
-            f'</section>{gaps}<section id="beside">',
+            '</section><section id="beside">',
             *(f"<p>{prose(note)}</p>" for note in c.notes),
-            f"<dl>{facts}</dl>{_remarks(c.remarks)}{again(c.job) if c.job else ''}</section></div>",
+            f"<dl>{facts}</dl>{_remarks(c.remarks)}{again(c.job) if c.job else ''}</section>",
         ]
     )
+    drawn = f'<div class="column">{where}{gaps}</div>' if where or gaps else ""
+    return f'<div id="top"><div class="column">{told}</div>{drawn}</div>'
 
 
 def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[str, object]]:
@@ -213,11 +211,8 @@ def _versions(versions: Mapping[str, str]) -> str:
     return f"<h2>Versions</h2>{listed}" if versions else ""
 
 
-def _cause(cause: Cause, *, led: bool) -> str:
-    """What to do, what was found, a sentence a fact, and what such a cause means.
-
-    led: what to do stands above already.
-    """
+def _cause(cause: Cause) -> str:
+    """What it is, what to do, what was found, a sentence a fact, and what such a cause means."""
     from comparisons.report.explain import explained
 
     kind = cause_name(cause.gap)
@@ -228,11 +223,11 @@ def _cause(cause: Cause, *, led: bool) -> str:
             f"<details><summary>What this means</summary><p>{escape(known.meaning)}</p>"
             f"<p>{escape(known.check)}</p></details>"
         )
-    hint = "" if led else f'<p class="hint">{prose(cause.hint)}</p>'
+    hint = f'<p class="hint">{prose(cause.hint)}</p>' if cause.hint else ""
     every = facts(cause.evidence)
     shown = "".join(f"<li>{prose(fact)}</li>" for fact in every)
-    found = f"<ul>{shown}</ul>" if every[1:] else f"<p>{prose(cause.evidence)}</p>"
-    return f'<div class="cause"><h3>{title}</h3>{hint}{found}{more}</div>'
+    evidence = f"<ul>{shown}</ul>" if every[1:] else f"<p>{prose(cause.evidence)}</p>"
+    return f'<div class="cause"><h3>{title}</h3>{hint}{evidence}{more}</div>'
 
 
 def _remarks(remarks: Sequence[str]) -> str:
