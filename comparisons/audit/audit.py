@@ -26,6 +26,7 @@ from comparisons.audit.consistency import (
     Smoothed,
     departures,
 )
+from comparisons.audit.error_curves import BlockErrorCurve, ErrorCurves
 from comparisons.audit.estimate_figures import EstimateFigures, EstimateKind, figures_of_steps
 from comparisons.audit.explained import ExplainedInnovations, explained_innovations
 from comparisons.audit.least_squares import AnchoredSmoother
@@ -118,6 +119,7 @@ class Audit:
         files: in the folder.
         not_checked: checks without an answer, and what the trace lacks for it.
         learnt: what `spurious` is of, with curves; no part of a result file.
+        error_curves: errors of blocks by the recorded truth, of the snapshots of `gaps`; likewise.
         explained: noises and constants that explain the innovations; likewise.
         unsolved: the event from which on nothing is compared with least squares, for its noise is
             no covariance; likewise.
@@ -150,6 +152,7 @@ class Audit:
     files: tuple[str, ...] = ()
     not_checked: dict[str, str] = field(default_factory=dict)
     learnt: Aside[Learnt | None]
+    error_curves: Aside[tuple[BlockErrorCurve, ...]]
     explained: Aside[ExplainedInnovations | None]
     unsolved: Aside[int | None]
     timed: Aside[bool]
@@ -194,6 +197,7 @@ class _Pass:
         self.uses = MeasurementUse(trace.sensors)
         self.prior: TracePrior
         self.errors: BlockErrors
+        self.error_curves: ErrorCurves
         self.blocks: dict[str, int] = {}
         self.gaps: list[AlgebraGap] = []
         self.largest: AlgebraGap | None = None
@@ -254,6 +258,7 @@ class _Pass:
             nees_by_block={name: nees for name, nees in figures.nees.items() if name},
             spurious=None if spurious is None else spurious.directions,
             learnt=spurious,
+            error_curves=self.error_curves.curves(),
             explained=explained,
             unsolved=self.unsolved,
             timed=self.timed,
@@ -287,7 +292,8 @@ class _Pass:
             case TracePrior():
                 self.prior = event
                 self.blocks = dict(zip(event.blocks, event.dims, strict=True))
-                self.errors = BlockErrors(BlockLayout(event.blocks, event.dims))
+                layout = BlockLayout(event.blocks, event.dims)
+                self.errors, self.error_curves = BlockErrors(layout), ErrorCurves(layout)
                 self.algebra.take(event, unsound)
                 if not unsound:
                     self.smoother = AnchoredSmoother(event)
@@ -326,6 +332,8 @@ class _Pass:
         if snapshot.error is not None:
             layout = algebra.replay.layout
             self.errors.add(snapshot, snapshot.error, layout, is_first=not self.acted)
+            if self.snapshots % self.each_gap == 0:
+                self.error_curves.add(snapshot, layout)
         if self.unsolved is not None:
             return
         marginal = self.smoother.marginal()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from itertools import cycle
+from itertools import cycle, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import Audit, Verdict
+from comparisons.audit.error_curves import BlockErrorCurve
 from comparisons.audit.spurious import Learnt
 from comparisons.checks.of_events import KnownEvents, ask_events
 from comparisons.report.folder import JobFolder
@@ -26,6 +27,7 @@ from comparisons.report.marks import (
     SMOOTHER_COLOUR,
     TIME,
     Curve,
+    FilledBand,
     Panel,
     nis_panel,
 )
@@ -46,6 +48,8 @@ _LACKING = (
     "algebra could be checked: record snapshots of the covariance, or the gains of updates"
 )
 _BY_EVENT = "by the number of the event, for the trace has not all times"
+_MOST_ERRORS = 15
+"""Components of which the errors are drawn: a vehicle's, without landmarks."""
 _LEAST = 1e-17
 """What a gap of nothing is drawn as."""
 
@@ -138,7 +142,7 @@ def audit_rows(known: KnownEvents) -> list[Row]:
 
 
 def audit_panels(audit: Audit) -> list[Panel]:
-    """Return what is drawn over time, or over events: the algebra gap, and NIS by sensor."""
+    """Return what is drawn over time, or over events: the algebra gap, errors, NIS by sensor."""
     panels, x_label = [], TIME if audit.timed else EVENT
     if audit.gaps:
         times = [np.nan if gap.time_s is None else gap.time_s for gap in audit.gaps]
@@ -160,6 +164,8 @@ def audit_panels(audit: Audit) -> list[Panel]:
                 level=float(np.log10(max(audit.tolerance, _LEAST))),
             )
         )
+    errors = (panel for curve in audit.error_curves for panel in _error_panels(audit, curve))
+    panels += islice(errors, _MOST_ERRORS)
     panels += [
         nis_panel(
             sensor, EKF_COLOUR, _along(audit, sensor.windows.event, sensor.windows.time_s), x_label
@@ -171,6 +177,24 @@ def audit_panels(audit: Audit) -> list[Panel]:
         at = _along(audit, audit.learnt.event, audit.learnt.time_s)
         panels.append(_spurious_panel(audit.learnt, at, x_label))
     return panels
+
+
+def _error_panels(audit: Audit, curve: BlockErrorCurve) -> Iterator[Panel]:
+    """Yield the error of each component, within 3 sigma of its covariance."""
+    if len(curve.event) < 2:
+        return
+    at, several = _along(audit, curve.event, curve.time_s), curve.error.shape[1] > 1
+    for k, (error, sigma) in enumerate(zip(curve.error.T, curve.sigma.T, strict=True)):
+        band = FilledBand(
+            name="3 sigma", colour=EKF_COLOUR, x=at, low=-3.0 * sigma, high=3.0 * sigma
+        )
+        yield Panel(
+            title=f"error of {curve.block}{f', component {k}' if several else ''}",
+            x_label=TIME if audit.timed else EVENT,
+            curves=(Curve("error", EKF_COLOUR, at, error),),
+            bands=(band,),
+            level=0.0,
+        )
 
 
 def _along(audit: Audit, event: ArrayLike, time_s: ArrayLike) -> Array:

@@ -116,6 +116,28 @@ def test_curves_run_over_time_where_times_are_given(tmp_path: Path, times: str) 
     assert json.loads(data(text))["event"] == (times != "given")
 
 
+def test_errors_are_drawn_within_three_sigma_of_the_recorded_covariance(tmp_path: Path) -> None:
+    """Of the blocks that the prior has, by component, at each snapshot with a truth."""
+    rng, path = np.random.default_rng(4), tmp_path / "run.trace"
+    errors, covariances = rng.standard_normal((20, 3)), rng.uniform(0.5, 2.0, (20, 3))
+    with slamcheck.Recorder(path) as record:
+        record.prior({"pose": 2, "bias": 1}, np.eye(3))
+        for k, (error, variance) in enumerate(zip(errors, covariances, strict=True)):
+            record.at(float(k))
+            record.update("gps", [0.3], np.eye(1), np.eye(1), ["bias"])
+            record.snapshot(np.diag(variance), error=error if k != 5 else None)
+    panels = [p for p in audit_panels(slamcheck.audit(path)) if p.title.startswith("error of")]
+    titles = ["error of pose, component 0", "error of pose, component 1", "error of bias"]
+    assert [panel.title for panel in panels] == titles
+    known = np.arange(20) != 5
+    for panel, error, variance in zip(panels, errors.T, covariances.T, strict=True):
+        (curve,), (band,) = panel.curves, panel.bands
+        assert curve.x.tolist() == np.flatnonzero(known).tolist()
+        assert curve.y == pytest.approx(error[known], rel=1e-12)
+        assert band.high == pytest.approx(3.0 * np.sqrt(variance[known]), rel=1e-12)
+        assert (band.low == -band.high).all()
+
+
 def data(text: str) -> str:
     """Return what a page gives its script."""
     return text.split('id="data">')[1].split("</script>")[0]
