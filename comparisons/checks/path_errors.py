@@ -22,6 +22,7 @@ class PathErrors(NamedTuple):
 
     Attributes:
         time_s: (N,) of the reference.
+        pose: (N, 3) of the estimate, aligned if that was asked for.
         place_m: (N,) distances from the reference's positions (evo's APE).
         heading_rad: (N,) turns from its headings, from 0 to pi.
         moved_m: (P,) differences of the motion over 10 m of the reference's path (evo's RPE).
@@ -32,6 +33,7 @@ class PathErrors(NamedTuple):
     """
 
     time_s: Array
+    pose: Array
     place_m: Array
     heading_rad: Array
     moved_m: Array
@@ -87,6 +89,7 @@ def path_errors(
     moved_m, turned_rad = relative_errors(pose, true)
     return PathErrors(
         time_s=reference.time_s[theirs],
+        pose=pose,
         place_m=np.hypot(*(pose - true)[:, :2].T),
         heading_rad=np.abs(wrap_angle(pose[:, 2] - true[:, 2])),
         moved_m=moved_m,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,7 @@ from comparisons.cli.support import AGREE, guarded
 from comparisons.errors import InputError, naming
 
 if TYPE_CHECKING:
-    from comparisons.report.side_by_side import ComparedResult
+    from comparisons.report.side_by_side import ComparedResult, Page
 
 
 def compare(
@@ -62,18 +63,18 @@ def compare(
         if out is not None:
             report.check_table(out)
         if any(report.is_result(path) for path in paths):
-            results, titled = _of_jobs(paths, align=align), paths
+            results, page, compared = _of_jobs(paths, align=align), None, paths
         else:
-            results, titled = _of_trajectories(paths, align=align), paths[1:]
-            only = only or ["*"]
+            results, page = _of_trajectories(paths, align=align)
+            compared, only = paths[1:], only or ["*"]
         rows = report.side_by_side(results, only)
-        names = [path.name for path in titled]
+        names = [path.name for path in compared]
         titles = [
-            str(path) if names.count(path.name) > 1 else path.name or str(path) for path in titled
+            str(path) if names.count(path.name) > 1 else path.name or str(path) for path in compared
         ]
         report.print_side_by_side(titles, rows, Console())
         if out is not None:
-            report.write_table(titles, rows, out)
+            report.write_table(titles, rows, out, page)
         raise SystemExit(AGREE)
 
 
@@ -85,11 +86,12 @@ def _of_jobs(folders: list[Path], *, align: bool) -> list[ComparedResult]:
     return read_results(folders)
 
 
-def _of_trajectories(paths: list[Path], *, align: bool) -> list[ComparedResult]:
-    """The errors of each against the first. Raises InputError."""
+def _of_trajectories(paths: list[Path], *, align: bool) -> tuple[list[ComparedResult], Page]:
+    """The errors of each against the first, and what makes a page of them. Raises InputError."""
     from comparisons.checks.path_errors import path_errors
     from comparisons.estimates.external import read_external
     from comparisons.report.side_by_side import result_of_path
+    from comparisons.report.trajectories import trajectories_page
 
     if len(paths) < 2:
         raise InputError(
@@ -97,9 +99,10 @@ def _of_trajectories(paths: list[Path], *, align: bool) -> list[ComparedResult]:
             "compared with; give the reference before it"
         )
     reference, *estimates = (read_external(path) for path in paths)
-    results = []
+    every = []
     for path, estimate in zip(paths[1:], estimates, strict=True):
         with naming(path):
-            errors = path_errors(estimate, reference, align=align)
-        results.append(result_of_path(errors, paths[0].name, aligned=align))
-    return results
+            every.append(path_errors(estimate, reference, align=align))
+    name = paths[0].name
+    results = [result_of_path(errors, name, aligned=align) for errors in every]
+    return results, partial(trajectories_page, (name, reference), every)

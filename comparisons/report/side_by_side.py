@@ -26,8 +26,11 @@ from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.models import SCHEMA, Result, SmootherResult, found_numbers
 
+TITLE = "Results side by side"
 Cell = str | float | None
 Row = tuple[str, list[Cell]]
+Page = Callable[[Sequence[str], Sequence[Row]], str]
+"""Makes a text of the columns' titles and rows."""
 _SAME = 1e-9
 """Figures closer than this, relative, are one."""
 _TEXT = 16
@@ -156,10 +159,23 @@ def check_table(path: Path) -> None:
     check_file(path, _KINDS[path.suffix.lower()])
 
 
-def write_table(titles: Sequence[str], rows: Sequence[Row], path: Path) -> None:
-    """Write CSV with every digit, or LaTeX or HTML as printed, by the suffix. Raises InputError."""
+def write_table(
+    titles: Sequence[str], rows: Sequence[Row], path: Path, page: Page | None = None
+) -> None:
+    """Write CSV with every digit, or LaTeX or HTML as printed, by the suffix.
+
+    Args:
+        titles: Of the columns.
+        rows: As of `side_by_side`.
+        path: Of the file.
+        page: What HTML is made of instead of the table alone.
+
+    Raises:
+        InputError: The suffix names no table, or another file stands there.
+    """
     check_table(path)
-    text = _TABLES[path.suffix.lower()](titles, rows)
+    made = _TABLES if page is None else _TABLES | {".html": page}
+    text = made[path.suffix.lower()](titles, rows)
     write_whole(
         path,
         lambda part: part.write_text(text, encoding="utf-8"),
@@ -312,8 +328,8 @@ def _latex_figure(figure: str) -> str:
     return rf"${digits} \times 10^{{{int(power)}}}$" if e else f"${figure}$" if figure else ""
 
 
-def _html(titles: Sequence[str], rows: Sequence[Row]) -> str:
-    from comparisons.report.html.shell import document
+def html_table(titles: Sequence[str], rows: Sequence[Row]) -> str:
+    """Return a column per result, for a page."""
 
     def row(kind: str, name: str, cells: Sequence[str]) -> str:
         columns = (f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells)
@@ -321,17 +337,19 @@ def _html(titles: Sequence[str], rows: Sequence[Row]) -> str:
         return f'<tr><th scope="row">{broken}</th>{"".join(columns)}</tr>'
 
     body = "".join(row("td", name, [_short(cell) for cell in cells]) for name, cells in rows)
-    return document(
-        "Results side by side",
-        (
-            "<header><h1>Results side by side</h1></header>",
-            f'<div class="held"><table class="beside"><thead>{row("th", "", titles)}</thead>',
-            f"<tbody>{body}</tbody></table></div>",
-        ),
+    return (
+        f'<div class="held"><table class="beside"><thead>{row("th", "", titles)}</thead>'
+        f"<tbody>{body}</tbody></table></div>"
     )
 
 
-_TABLES: dict[str, Callable[[Sequence[str], Sequence[Row]], str]] = {
+def _html(titles: Sequence[str], rows: Sequence[Row]) -> str:
+    from comparisons.report.html.shell import document
+
+    return document(TITLE, (f"<header><h1>{TITLE}</h1></header>", html_table(titles, rows)))
+
+
+_TABLES: dict[str, Page] = {
     ".csv": _csv,
     ".tex": _latex,
     ".html": _html,
@@ -343,6 +361,8 @@ _KINDS = {
     for suffix, pattern in {
         ".csv": rb"name,[^\n]*\n" + _FIRST + rb",",
         ".tex": rb"\\begin\{tabular\}\{lr+\}\n & [^\n]* \\hline\n" + _FIRST + rb" & ",
-        ".html": rb"(?s)<!doctype html>\n<html.{,1000}<title>Results side by side</title>",
+        ".html": rb"(?s)<!doctype html>\n<html.{,1000}<title>"
+        + TITLE.encode()
+        + rb"(: [^<]*)?</title>",
     }.items()
 }

@@ -139,6 +139,25 @@ def test_the_command(tmp_path: Path) -> None:
     assert mine == pytest.approx(np.hypot(*SIGMA[:2]), rel=0.1)
 
 
+def test_the_page_has_a_map_curves_and_the_table(tmp_path: Path) -> None:
+    reference = drive()
+    written(tmp_path / "truth.tum", reference)
+    name = "<i>mine.tum"
+    written(tmp_path / name, ExternalEstimate(time_s=reference.time_s, pose=disturbed(reference)))
+    for _ in range(2):  # the second over the first
+        works("compare", "truth.tum", name, "--out", "t.html", cwd=tmp_path)
+    page = (tmp_path / "t.html").read_text()
+    assert "<i>" not in page
+    for part in (
+        'id="map"',
+        "truth.tum trajectory",
+        "turn from the reference [deg]",
+        "ape_<wbr>m.",
+    ):
+        assert part in page
+    assert refused("compare", "truth.tum", name, "--out", "truth.tum", cwd=tmp_path)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
