@@ -7,6 +7,7 @@ from itertools import islice
 from typing import NamedTuple
 
 from comparisons.audit.consistency import departures, step_innovations
+from comparisons.explain.coloured import ColouredNoise, ColourSlot, with_colour
 from comparisons.explain.jacobians import JacobianChange, JacobianSlot, with_jacobians
 from comparisons.explain.likeliest import (
     AnySlot,
@@ -58,7 +59,7 @@ class ExplainedInnovations(NamedTuple):
         """The sensor that the first cause is of, if it is of one."""
         slot = self.causes[0].slot
         match slot:
-            case NoiseSlot() | JacobianSlot():
+            case NoiseSlot() | JacobianSlot() | ColourSlot():
                 is_of_sensor = slot.matrix in ("R", "H")
             case _:
                 is_of_sensor = not slot.is_predicted
@@ -83,9 +84,17 @@ def explained_innovations(
     causes: list[InnovationCause] = []
     left: list[str] = []
     still_off = is_off
-    while len(causes) < _MOST_CAUSES and not _are_apart(causes):
+    correlated = _correlated(steps, sensors, level) if is_off else []
+    while len(causes) < _MOST_CAUSES and not (_are_apart(causes) or _colours(causes)):
         before = list(_without_noises(causes, steps))
-        cause = likeliest_cause(before, _factors(causes), _NAMED, sensors, is_off=still_off)
+        cause = likeliest_cause(
+            before,
+            _factors(causes),
+            _NAMED,
+            sensors,
+            is_off=still_off,
+            correlated=() if causes else correlated,
+        )
         if cause is None:
             break
         causes.append(cause)
@@ -141,6 +150,20 @@ def _are_apart(causes: Iterable[InnovationCause]) -> bool:
     return len(fitted) > 1 and bool(changes) and not is_of_one
 
 
+def _correlated(steps: Sequence[RecordedStep], sensors: Sensors, level: float) -> list[str]:
+    """Sensors whose innovations are correlated in time."""
+    return [
+        sensor.sensor
+        for sensor in step_innovations(steps, sensors)
+        if any(series.order == "time" and series.p_value < level for series in sensor.whiteness)
+    ]
+
+
+def _colours(causes: Iterable[InnovationCause]) -> list[ColouredNoise]:
+    """Those causes that are correlated noises."""
+    return [cause.fitted for cause in causes if isinstance(cause.fitted, ColouredNoise)]
+
+
 def _factors(causes: Iterable[InnovationCause]) -> Factors:
     """Of those causes that are of noises."""
     fitted = [cause.fitted for cause in causes]
@@ -161,7 +184,11 @@ def _taken_in(
     causes: Iterable[InnovationCause], steps: Iterable[RecordedStep]
 ) -> Iterator[RecordedStep]:
     """Events with other noises and Jacobians, and without constants."""
-    return with_noises(_without_noises(causes, steps), _factors(causes))
+    causes = list(causes)
+    taken = _without_noises(causes, steps)
+    for noise in _colours(causes):
+        taken = with_colour(taken, noise)
+    return with_noises(taken, _factors(causes))
 
 
 def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -> str:
@@ -190,6 +217,8 @@ def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) ->
     if isinstance(fitted, JacobianChange):
         low, high = fitted.interval
         return fitted.said(), f"{low:.3g} to {high:.3g}" if fitted.numbers else ""
+    if isinstance(fitted, ColouredNoise):
+        return fitted.said(), ""
     words = _words(fitted.slot, sensors)
     if isinstance(fitted, NoiseFactor):
         text = f"{words} {fitted.factor:.3g} times the stated one"

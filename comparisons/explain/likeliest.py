@@ -1,4 +1,4 @@
-"""The one noise, constant or Jacobian that makes residuals likeliest.
+"""The one noise, correlated or not, constant or Jacobian that makes residuals likeliest.
 
 By derivatives of the likelihood first; those that promise most are fitted.
 """
@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from scipy.special import gammaincc
 
+from comparisons.explain.coloured import ColouredNoise, ColourSlot, coloured_noises
 from comparisons.explain.jacobians import (
     JacobianChange,
     JacobianSlot,
@@ -47,8 +48,8 @@ _ROUNDS, _MOST_NARROWED = 3, 3
 """How often this is repeated, and for how many causes."""
 
 Numbered = NoiseFactor | Offset
-AnySlot = Slot | JacobianSlot
-Fitted = Numbered | JacobianChange
+AnySlot = Slot | JacobianSlot | ColourSlot
+Fitted = Numbered | JacobianChange | ColouredNoise
 
 
 class InnovationCause(NamedTuple):
@@ -88,6 +89,7 @@ def likeliest_cause(
     sensors: Mapping[str, SensorDescription],
     *,
     is_off: bool = True,
+    correlated: Collection[str] = (),
 ) -> InnovationCause | None:
     """Return the cause that explains most, if chance does not.
 
@@ -98,10 +100,12 @@ def likeliest_cause(
         sensors: What is known of them.
         is_off: Something is known to be off. Where it is not, Jacobians are tried only if another
             noise or a constant would be named.
+        correlated: Sensors whose innovations are correlated, so that their noise may be.
     """
     candidates = _numbered(steps, factors)
     if is_off or any(candidate.p_value < level for candidate in candidates):
         candidates += _of_jacobians(steps, factors, sensors)
+    candidates += _coloured(steps, correlated)
     if not candidates:
         return None
     best = _simplest(max(candidates, key=lambda candidate: candidate.rank), candidates)
@@ -123,7 +127,7 @@ def beside_others(
 
     steps, factors: with all other causes taken in. A Jacobian stays as it is.
     """
-    if isinstance(cause.fitted, JacobianChange):
+    if isinstance(cause.fitted, JacobianChange | ColouredNoise):
         return cause
     slot = cause.fitted.slot
     of_all = slot._replace(since=0)
@@ -153,6 +157,17 @@ def _of_jacobians(
     return [
         _Candidate(change, change.gained - more, math.exp(min(0.0, log_count - change.gained)))
         for change in tried.changes
+    ]
+
+
+def _coloured(steps: Sequence[RecordedStep], correlated: Collection[str]) -> list[_Candidate]:
+    """Correlated noises; of two numbers, so each must gain more."""
+    noises = coloured_noises(steps, correlated)
+    return [
+        _Candidate(
+            noise, noise.gained - LATER, min(1.0, len(noises) * math.exp(LATER - noise.gained))
+        )
+        for noise in noises
     ]
 
 
