@@ -84,16 +84,10 @@ def explained_innovations(
     causes: list[InnovationCause] = []
     left: list[str] = []
     still_off = is_off
-    correlated = _correlated(steps, sensors, level) if is_off else []
     while len(causes) < _MOST_CAUSES and not (_are_apart(causes) or _colours(causes)):
         before = list(_without_noises(causes, steps))
         cause = likeliest_cause(
-            before,
-            _factors(causes),
-            _NAMED,
-            sensors,
-            is_off=still_off,
-            correlated=() if causes else correlated,
+            before, _factors(causes), _NAMED, sensors, is_off=still_off, is_first=not causes
         )
         if cause is None:
             break
@@ -148,15 +142,6 @@ def _are_apart(causes: Iterable[InnovationCause]) -> bool:
     whole = {change.slot._replace(change="") for change in changes}
     is_of_one = len(whole) == 1 and len(changes) == len(fitted) and all(c.numbers for c in changes)
     return len(fitted) > 1 and bool(changes) and not is_of_one
-
-
-def _correlated(steps: Sequence[RecordedStep], sensors: Sensors, level: float) -> list[str]:
-    """Sensors whose innovations are correlated in time."""
-    return [
-        sensor.sensor
-        for sensor in step_innovations(steps, sensors)
-        if any(series.order == "time" and series.p_value < level for series in sensor.whiteness)
-    ]
 
 
 def _colours(causes: Iterable[InnovationCause]) -> list[ColouredNoise]:
@@ -218,7 +203,8 @@ def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) ->
         low, high = fitted.interval
         return fitted.said(), f"{low:.3g} to {high:.3g}" if fitted.numbers else ""
     if isinstance(fitted, ColouredNoise):
-        return fitted.said(), ""
+        low, high = fitted.interval
+        return fitted.said(), f"{low:.3g} to {high:.3g}"
     words = _words(fitted.slot, sensors)
     if isinstance(fitted, NoiseFactor):
         text = f"{words} {fitted.factor:.3g} times the stated one"

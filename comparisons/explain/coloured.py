@@ -8,7 +8,8 @@ noise is a block of its own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -30,10 +31,10 @@ _HALVINGS = (0.15, 0.07, 0.03)
 _MOST_SHARE: dict[Shape, float] = {"moving": 1.0, "lasting": 0.999}
 _LOGS = np.linspace(np.log(0.01), np.log(1e4), 9)
 """Logarithms of factors on R."""
-_FINER = 2
-"""How often a factor is sought, each time about the likeliest of the time before."""
 _LEAST_UPDATES, _MOST_EVENTS, _MOST_ENTRIES, _MOST_COMPONENTS = 30, 1_500, 40, 6
 """Updates of a sensor; events by which a share is fitted; entries of a state, of a measurement."""
+_LEAST_GAINED = 3.0
+"""Of the likelihood's logarithm, over that of white noise with a factor, to be looked at."""
 _WHITE = 1e-6
 """Share of R that stays white, so that least squares have a weight."""
 
@@ -90,11 +91,9 @@ class ColouredNoise(NamedTuple):
 
     def said(self) -> str:
         """Return it in words."""
-        low, high = self.interval
         text = (
             f"{self.slot.words()} that is correlated from one measurement to the next "
-            f"({self.correlation:.2g}) and {self.factor:.3g} times the stated one "
-            f"({low:.3g} to {high:.3g})"
+            f"({self.correlation:.2g}) and {self.factor:.3g} times the stated one"
         )
         ends = {-1.0: "differences of independent measurements", 1.0: "means of two measurements"}
         near = [words for share, words in ends.items() if abs(self.share - share) < _HALVINGS[0]]
@@ -166,8 +165,8 @@ def with_colour(steps: Iterable[RecordedStep], noise: ColouredNoise) -> Iterator
         yield step._replace(event=event, applied=applied, estimate=estimate)
 
 
-def coloured_noises(steps: Sequence[RecordedStep], sensors: Collection[str]) -> list[ColouredNoise]:
-    """Return the likeliest correlated noise of each of some sensors, of each shape.
+def coloured_noises(steps: Sequence[RecordedStep]) -> list[ColouredNoise]:
+    """Return the likeliest correlated noise of each sensor and shape that is likelier than white.
 
     steps: Of a trace, from its prior on. Large states, and measurements of which there are few or
     whose sizes differ, are passed over.
@@ -175,43 +174,56 @@ def coloured_noises(steps: Sequence[RecordedStep], sensors: Collection[str]) -> 
     first = steps[:_MOST_EVENTS]
     if not isinstance(first[0].event, TracePrior) or sum(first[0].event.dims) > _MOST_ENTRIES:
         return []
-    coloured = []
-    for sensor in sensors:
-        stated = [
-            step.event.noise
-            for step in first
-            if isinstance(step.event, Update) and step.event.sensor == sensor
-        ]
-        widths = {len(noise) for noise in stated}
-        if len(stated) < _LEAST_UPDATES or len(widths) > 1 or max(widths) > _MOST_COMPONENTS:
+    stated = defaultdict[str, list[Array]](list)
+    for step in first:
+        if isinstance(step.event, Update):
+            stated[step.event.sensor].append(step.event.noise)
+    fitted: list[ColouredNoise] = []
+    for sensor, noises in stated.items():
+        widths = {len(noise) for noise in noises}
+        if len(noises) >= _LEAST_UPDATES and len(widths) == 1 and max(widths) <= _MOST_COMPONENTS:
+            fitted += _of_sensor(first, sensor, noises[0])
+    values = [log_likelihoods(with_colour(steps, noise), [{}])[0] for noise in fitted]
+    neutral = log_likelihoods(steps, [{}])[0] if fitted else 0.0
+    gains = [float(value - neutral) for value in values]
+    return [
+        noise._replace(gained=gained)
+        for noise, gained in zip(fitted, gains, strict=True)
+        if 0.0 < gained < np.inf
+    ]
+
+
+def _of_sensor(
+    steps: Sequence[RecordedStep], sensor: str, stated: Array
+) -> Iterator[ColouredNoise]:
+    """Yield the likeliest share and factor of each shape, where they are likelier than white."""
+
+    def scaled(shape: Shape, share: float, finer: int = 2) -> tuple[float, ColouredNoise]:
+        slot = ColourSlot(sensor, shape)
+        return _scaled(steps, ColouredNoise(slot, 0.0, share, 1.0, (1.0, 1.0), stated), finer)
+
+    white = scaled("moving", 0.0)[0]
+    for shape, shares in _SHARES.items():
+        tried = {share: scaled(shape, share)[0] for share in shares}
+        if not max(tried.values()) > white + _LEAST_GAINED:
             continue
-        neutral = float(log_likelihoods(steps, [{}])[0])
-        for shape in _SHARES:
-            noise = ColouredNoise(ColourSlot(sensor, shape), 0.0, 0.0, 1.0, (1.0, 1.0), stated[0])
-            noise = _fitted(first, noise)
-            value = float(log_likelihoods(with_colour(steps, noise), [{}])[0])
-            if np.isfinite(value - neutral):
-                coloured.append(noise._replace(gained=max(0.0, value - neutral)))
-    return coloured
-
-
-def _fitted(steps: Sequence[RecordedStep], noise: ColouredNoise) -> ColouredNoise:
-    """The likeliest share and factor of a shape."""
-    shape = noise.slot.shape
-    tried = {share: _scaled(steps, noise._replace(share=share)) for share in _SHARES[shape]}
-    for step in _HALVINGS:
-        best = max(tried, key=lambda share: tried[share][0])
-        for share in (best - step, best + step):
-            if abs(share) <= _MOST_SHARE[shape]:
-                tried[share] = _scaled(steps, noise._replace(share=share))
-    best = max(tried, key=lambda share: tried[share][0])
-    return _scaled(steps, noise._replace(share=best), _FINER + 1)[1]
+        for step in _HALVINGS:
+            best = max(tried, key=lambda share: tried[share])
+            for share in (best - step, best + step):
+                if abs(share) <= _MOST_SHARE[shape]:
+                    tried[share] = scaled(shape, share)[0]
+        best = max(tried, key=lambda share: tried[share])
+        yield scaled(shape, best, finer=3)[1]
 
 
 def _scaled(
-    steps: Sequence[RecordedStep], noise: ColouredNoise, finer: int = _FINER
+    steps: Sequence[RecordedStep], noise: ColouredNoise, finer: int
 ) -> tuple[float, ColouredNoise]:
-    """The likelihood's logarithm with the likeliest factor, and the noise with that."""
+    """The likelihood's logarithm with the likeliest factor, and the noise with that.
+
+    noise: with a factor of 1. finer: how often the factor is sought, each time about the likeliest
+    of the time before.
+    """
     extended = list(with_colour(steps, noise))
     slots = NoiseSlot("P0", noise.block), NoiseSlot("Q", noise.block)
     logs = _LOGS

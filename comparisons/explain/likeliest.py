@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from scipy.special import gammaincc
@@ -89,7 +89,7 @@ def likeliest_cause(
     sensors: Mapping[str, SensorDescription],
     *,
     is_off: bool = True,
-    correlated: Collection[str] = (),
+    is_first: bool = True,
 ) -> InnovationCause | None:
     """Return the cause that explains most, if chance does not.
 
@@ -100,12 +100,14 @@ def likeliest_cause(
         sensors: What is known of them.
         is_off: Something is known to be off. Where it is not, Jacobians are tried only if another
             noise or a constant would be named.
-        correlated: Sensors whose innovations are correlated, so that their noise may be.
+        is_first: No other is taken in. Only then, and where something is off, may it be a
+            correlated noise, which has a factor of its own.
     """
     candidates = _numbered(steps, factors)
     if is_off or any(candidate.p_value < level for candidate in candidates):
         candidates += _of_jacobians(steps, factors, sensors)
-    candidates += _coloured(steps, correlated)
+    if is_off and is_first:
+        candidates += _coloured(steps)
     if not candidates:
         return None
     best = _simplest(max(candidates, key=lambda candidate: candidate.rank), candidates)
@@ -160,9 +162,9 @@ def _of_jacobians(
     ]
 
 
-def _coloured(steps: Sequence[RecordedStep], correlated: Collection[str]) -> list[_Candidate]:
+def _coloured(steps: Sequence[RecordedStep]) -> list[_Candidate]:
     """Correlated noises; of two numbers, so each must gain more."""
-    noises = coloured_noises(steps, correlated)
+    noises = coloured_noises(steps)
     return [
         _Candidate(
             noise, noise.gained - LATER, min(1.0, len(noises) * math.exp(LATER - noise.gained))
