@@ -41,8 +41,9 @@ noted.map = Math.min(...[...document.querySelectorAll('#map .layer:not(.filled)'
 noted.letters = Math.min(...[...document.querySelectorAll('.ladder text')]
   .map(one => one.getBoundingClientRect().height));
 const svg = document.querySelector('.ladder svg').getBoundingClientRect();
-const main = document.querySelector('main'), times = document.getElementById('times');
-noted.share = frame.getBoundingClientRect().width / main.getBoundingClientRect().width;
+const where = document.getElementById('where'), times = document.getElementById('times');
+noted.share = frame.getBoundingClientRect().width / where.getBoundingClientRect().width;
+noted.top = frame.getBoundingClientRect().top;
 noted.below = ['where', 'when'].map(name => {
   document.getElementById(name).scrollIntoView();
   return times.getBoundingClientRect().bottom - innerHeight;
@@ -75,6 +76,7 @@ def test_everything_fits_and_can_be_read(
     assert found["map"] >= (3.0 if dark else 2.5)
     assert found["letters"] >= 10.0
     assert found["share"] == pytest.approx(1.0)
+    assert width == 390 or found["top"] < 300.0  # the map stands beside the verdict
     assert max(found["below"]) < 2.0  # the slider stays in view beside map and curves
 
 

@@ -63,8 +63,9 @@ def audited(path: Path, noises: dict[str, Array], seed: int, q: float = 1.0) -> 
     ("shape", "share", "correlation"),
     [("moving", -1.0, -0.5), ("moving", 1.0, 0.5), ("lasting", 0.8, 0.8), ("lasting", 0.5, 0.5)],
 )
-@pytest.mark.parametrize("factor", [1.0, 30.0])
-@pytest.mark.parametrize("sensor", list(H))
+@pytest.mark.parametrize(
+    ("sensor", "factor"), [("localiser", 1.0), ("localiser", 30.0), ("odometer", 30.0)]
+)
 def test_a_correlated_noise_is_named(
     tmp_path: Path, sensor: str, shape: str, share: float, correlation: float, factor: float
 ) -> None:
@@ -82,7 +83,7 @@ def test_a_correlated_noise_is_named(
     assert cause.fitted.factor == pytest.approx(factor, rel=0.35)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("q", [1.0, 0.02, 30.0])
 def test_white_noises_are_not_called_correlated(tmp_path: Path, seed: int, q: float) -> None:
     """Another Q correlates innovations as well."""
