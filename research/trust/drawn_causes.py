@@ -23,6 +23,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
+from comparisons.explain.coloured import ColouredNoise
 from comparisons.explain.jacobians import EventKind, JacobianChange, JacobianSlot, with_jacobians
 from comparisons.explain.likeliest import Fitted
 from comparisons.explain.noises import NoiseSlot, log_likelihoods
@@ -73,7 +74,9 @@ class LinearFault(NamedTuple):
 
     def is_named(self, cause: Fitted) -> bool:
         """Whether a cause is this one, with its number."""
-        if isinstance(cause, JacobianChange) or cause.slot._replace(since=0) != self.slot:
+        if isinstance(cause, JacobianChange | ColouredNoise):
+            return False
+        if cause.slot._replace(since=0) != self.slot:
             return False
         if isinstance(cause, Offset):
             return abs(cause.value - self.value) < 6.0 * cause.sigma
