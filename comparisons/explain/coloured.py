@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from comparisons.arrays import Array
+from comparisons.audit.replay import BlockLayout
 from comparisons.explain.noises import NoiseSlot, log_likelihoods
 from comparisons.explain.recorded_steps import RecordedStep
 from comparisons.trace.events import ADDITIVE, Blocks, Event, Predict, TracePrior, Update
@@ -172,7 +173,7 @@ def coloured_noises(steps: Sequence[RecordedStep]) -> list[ColouredNoise]:
     whose sizes differ, are passed over.
     """
     first = steps[:_MOST_EVENTS]
-    if not isinstance(first[0].event, TracePrior) or sum(first[0].event.dims) > _MOST_ENTRIES:
+    if _most_entries(first) > _MOST_ENTRIES:
         return []
     stated = defaultdict[str, list[Array]](list)
     for step in first:
@@ -191,6 +192,17 @@ def coloured_noises(steps: Sequence[RecordedStep]) -> list[ColouredNoise]:
         for noise, gained in zip(fitted, gains, strict=True)
         if 0.0 < gained < np.inf
     ]
+
+
+def _most_entries(steps: Iterable[RecordedStep]) -> int:
+    """Of the state, at any event."""
+    layout, most = BlockLayout(), 0
+    for step in steps:
+        if isinstance(step.event, TracePrior):
+            layout = BlockLayout(step.event.blocks, step.event.dims)
+        layout.follow(step.event)
+        most = max(most, layout.size)
+    return most
 
 
 def _of_sensor(
