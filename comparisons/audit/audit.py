@@ -422,9 +422,8 @@ class _Pass:
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
             self.algebra.add(AuditFinding("innovations", True, text, None, sensor=name), "unusable")
-        weight = max(
-            (departure.weight for departure in found), default=0.0
-        )  # a sensor's go together
+        # A sensor's go together.
+        weight = max((departure.weight for departure in found), default=0.0)
         for departure in found:
             text = f"sensor `{name}`: {departure.what} (p = {departure.p_value:.1g})"
             if not self.algebra.optimal:

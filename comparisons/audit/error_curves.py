@@ -43,14 +43,12 @@ class ErrorCurves:
         if snapshot.error is None:
             return
         time_s = np.nan if snapshot.time_s is None else snapshot.time_s
-        variance = snapshot.covariance.diagonal()
-        start = 0
-        for name in snapshot.blocks:
-            part = slice(start, start := start + layout.dims[name])
+        with np.errstate(invalid="ignore"):
+            sigma = np.sqrt(snapshot.covariance.diagonal())
+        sigmas = layout.parts(snapshot.blocks, sigma)
+        for name, error in layout.parts(snapshot.blocks, snapshot.error).items():
             if name in self._names:
-                with np.errstate(invalid="ignore"):
-                    sigma = np.sqrt(variance[part])
-                self._rows[name].append((snapshot.number, time_s, snapshot.error[part], sigma))
+                self._rows[name].append((snapshot.number, time_s, error, sigmas[name]))
 
     def curves(self) -> tuple[BlockErrorCurve, ...]:
         """Return the curve of each block, in the order of the state."""

@@ -187,7 +187,7 @@ def _said(cause: InnovationCause, steps: list[RecordedStep], sensors: Sensors) -
     text += f"{since} ({interval and f'{interval}, '}p = {cause.p_value:.1g})"
     if isinstance(fitted, NoiseFactor) and (written := readings(fitted, steps)):
         text += f", {' or '.join(written)}"
-    others = [_with_number(change, steps, sensors)[0] for change in cause.others]
+    others = [_with_number(other, steps, sensors)[0] for other in cause.others]
     if len(others) > _MOST_SAID:
         others[_MOST_SAID - 1 :] = [f"one of {len(others) - _MOST_SAID + 1} others"]
     return text + "".join(f", or {other}" for other in others)
@@ -199,12 +199,10 @@ def _words(slot: AnySlot, sensors: Sensors) -> str:
 
 def _with_number(fitted: Fitted, steps: list[RecordedStep], sensors: Sensors) -> tuple[str, str]:
     """A cause with its number, and the interval of that; empty without one."""
-    if isinstance(fitted, JacobianChange):
+    if isinstance(fitted, JacobianChange | ColouredNoise):
         low, high = fitted.interval
-        return fitted.said(), f"{low:.3g} to {high:.3g}" if fitted.numbers else ""
-    if isinstance(fitted, ColouredNoise):
-        low, high = fitted.interval
-        return fitted.said(), f"{low:.3g} to {high:.3g}"
+        numbered = isinstance(fitted, ColouredNoise) or bool(fitted.numbers)
+        return fitted.said(), f"{low:.3g} to {high:.3g}" if numbered else ""
     words = _words(fitted.slot, sensors)
     if isinstance(fitted, NoiseFactor):
         text = f"{words} {fitted.factor:.3g} times the stated one"

@@ -126,10 +126,10 @@ def compare_pair(
         time_s=shared,
         difference=difference,
         sigma=np.sqrt(np.diagonal(spread, axis1=1, axis2=2)),
-        nees=_nees(difference, spread),
+        nees=nees_of(difference, spread),
         landmark=names,
         landmark_difference=apart,
-        landmark_nees=_nees(
+        landmark_nees=nees_of(
             apart, _spread(_rows(ours, rows[0]), _rows(theirs, rows[1]), apart, relation)
         ),
         relation=relation,
@@ -155,19 +155,21 @@ def _rows(covariance: Array | None, rows: Index | list[int]) -> Array | None:
 def _spread(first: Array | None, second: Array | None, difference: Array, relation: str) -> Array:
     """(N, d, d) of differences (N, d); NaN where it is unknown or not positive definite."""
     count, size = difference.shape
-    found: Array = np.full((count, size, size), np.nan)
     if first is None or second is None or not count:
-        return found
-    total = first + second if relation == "independent" else first - second
-    finite = np.isfinite(total).all(axis=(1, 2))
-    good = np.zeros(count, dtype=bool)
-    good[finite] = np.linalg.eigvalsh(total[finite])[:, 0] > 0.0
-    found[good] = total[good]
-    return found
+        return np.full((count, size, size), np.nan)
+    return if_definite(first + second if relation == "independent" else first - second)
 
 
-def _nees(difference: Array, spread: Array) -> Array:
-    """(N,) NaN where the covariance of the difference is."""
+def if_definite(covariance: Array) -> Array:
+    """Return covariances (N, d, d), N at least 1; NaN where they are not positive definite."""
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    good = np.zeros(len(covariance), dtype=bool)
+    good[finite] = np.linalg.eigvalsh(covariance[finite])[:, 0] > 0.0
+    return np.where(good[:, None, None], covariance, np.nan)
+
+
+def nees_of(difference: Array, spread: Array) -> Array:
+    """Return squared differences (N, d) by their covariances (N, d, d); NaN where these are."""
     found: Array = np.full(len(difference), np.nan)
     good = np.isfinite(spread).all(axis=(1, 2))
     found[good] = squared_distance(difference[good], spread[good])

@@ -8,10 +8,11 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import relative_errors, rigid_motion
+from comparisons.checks.pair_of_estimates import if_definite, nees_of
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.plane import squared_distance
-from ekf_reference.core.geometry import wrap_angle
+from comparisons.logs.stamps import nearest_instants
+from comparisons.plane import pose_difference, rms
 
 TOGETHER_S = 0.01
 """Stamps that are no farther apart are of one instant, as evo's `--t_max_diff` has it."""
@@ -81,21 +82,19 @@ def path_errors(
             f"{spans}"
         )
     pose, true = estimate.pose[ours], reference.pose[theirs]
-    nees = None
     if align:
         pose = _aligned(pose, true)
-    elif estimate.pose_covariance is not None:
-        nees = _nees(pose, true, estimate.pose_covariance[ours])
+    difference, covariance = pose_difference(pose, true), estimate.pose_covariance
     moved_m, turned_rad = relative_errors(pose, true)
     return PathErrors(
         time_s=reference.time_s[theirs],
         pose=pose,
-        place_m=np.hypot(*(pose - true)[:, :2].T),
-        heading_rad=np.abs(wrap_angle(pose[:, 2] - true[:, 2])),
+        place_m=np.hypot(*difference[:, :2].T),
+        heading_rad=np.abs(difference[:, 2]),
         moved_m=moved_m,
         turned_rad=turned_rad,
         poses=len(estimate.pose),
-        nees=nees,
+        nees=None if align or covariance is None else _nees(difference, covariance[ours]),
     )
 
 
@@ -104,11 +103,7 @@ def _matched(ours_s: Array, theirs_s: Array) -> tuple[Index, Index]:
     if len(ours_s) > len(theirs_s):
         theirs, ours = _matched(theirs_s, ours_s)
         return ours, theirs
-    after = np.clip(np.searchsorted(theirs_s, ours_s), 1, max(len(theirs_s) - 1, 1))
-    after = np.minimum(after, len(theirs_s) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer_before = np.abs(theirs_s[before] - ours_s) <= np.abs(theirs_s[after] - ours_s)
-    nearest = np.where(nearer_before, before, after)
+    nearest = nearest_instants(ours_s, theirs_s)
     together = np.abs(theirs_s[nearest] - ours_s) <= TOGETHER_S
     return np.flatnonzero(together), nearest[together]
 
@@ -121,16 +116,11 @@ def _aligned(pose: Array, reference: Array) -> Array:
     return np.column_stack((motion(pose[:, :2]), pose[:, 2] + np.arctan2(north, east)))
 
 
-def _nees(pose: Array, true: Array, covariance: Array) -> float | None:
-    """Mean squared error over its covariance (N, 3, 3), a degree of freedom."""
-    error = pose - true
-    error[:, 2] = wrap_angle(error[:, 2])
-    finite = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
-    valid = finite[np.linalg.eigvalsh(covariance[finite])[:, 0] > 0.0]
-    if not len(valid):
-        return None
-    squared = squared_distance(error[valid], covariance[valid])
-    return float(np.mean(squared) / error.shape[1])
+def _nees(difference: Array, covariance: Array) -> float | None:
+    """Mean of squared differences (N, 3) over their covariances (N, 3, 3), a degree of freedom."""
+    each = nees_of(difference, if_definite(covariance))
+    known = each[np.isfinite(each)]
+    return float(known.mean()) / difference.shape[1] if len(known) else None
 
 
 def _statistics(errors: Array) -> dict[str, float]:
@@ -138,7 +128,7 @@ def _statistics(errors: Array) -> dict[str, float]:
     if not len(errors):
         return {}
     return {
-        "rms": float(np.sqrt(np.mean(errors**2))),
+        "rms": rms(errors[:, None]),
         "mean": float(errors.mean()),
         "median": float(np.median(errors)),
         "std": float(errors.std()),

@@ -137,10 +137,10 @@ class ColouredNoise(NamedTuple):
 
 
 def with_colour(steps: Iterable[RecordedStep], noise: ColouredNoise) -> Iterator[RecordedStep]:
-    """Yield events in whose state a correlated noise is the first block."""
+    """Yield events in whose state a correlated noise is the first block, without estimates."""
     nothing = np.zeros(noise.size)
     for step in steps:
-        event, estimate = step.event, step.estimate
+        event = step.event
         applied = None if step.applied is None else np.concatenate((nothing, step.applied))
         if isinstance(event, TracePrior):
             event = event._replace(
@@ -156,14 +156,13 @@ def with_colour(steps: Iterable[RecordedStep], noise: ColouredNoise) -> Iterator
                 f, q = noise.moved(event.noise)
                 blocks: Blocks = (noise.block,)
                 passed = Predict(event.number, event.time_s, blocks, f, q)
-                yield RecordedStep(passed, None, nothing)
+                yield RecordedStep(passed, None)
                 event = event._replace(
                     blocks=(*blocks, *event.blocks),
                     jacobian=np.hstack((noise.entering(), event.jacobian)),
                     noise=_WHITE * event.noise,
                 )
-                estimate = None if estimate is None else np.concatenate((nothing, estimate))
-        yield step._replace(event=event, applied=applied, estimate=estimate)
+        yield step._replace(event=event, applied=applied, estimate=None)
 
 
 def coloured_noises(steps: Sequence[RecordedStep]) -> list[ColouredNoise]:

@@ -133,7 +133,7 @@ def beside_others(
         return cause
     slot = cause.fitted.slot
     of_all = slot._replace(since=0)
-    fitted = {offset.slot: offset for offset in _fitted(steps, list({slot, of_all}), factors)}
+    fitted = {numbered.slot: numbered for numbered in _fitted(steps, list({slot, of_all}), factors)}
     here, whole = fitted.get(slot), fitted.get(of_all)
     if whole is not None and (here is None or whole.gained >= here.gained - LATER):
         return cause._replace(fitted=whole, begun=(0, 0))
@@ -191,16 +191,16 @@ def _numbered(steps: Sequence[RecordedStep], factors: Factors) -> list[_Candidat
         return []
     later = _later(steps, promising, whole, factors)
     return [
-        *(_candidate(offset, len(scored)) for offset in whole),
+        *(_candidate(numbered, len(scored)) for numbered in whole),
         *(_candidate(candidate.fitted, len(scored), candidate.begun) for candidate in later),
     ]
 
 
-def _candidate(offset: Numbered, count: int, begun: tuple[int, int] = (0, 0)) -> _Candidate:
+def _candidate(numbered: Numbered, count: int, begun: tuple[int, int] = (0, 0)) -> _Candidate:
     """A cause with one number, of so many."""
-    rank = offset.gained - (LATER if offset.slot.since else 0.0)
+    rank = numbered.gained - (LATER if numbered.slot.since else 0.0)
     p_value = min(1.0, count * float(gammaincc(0.5, max(0.0, rank))))
-    return _Candidate(offset, rank, p_value, begun)
+    return _Candidate(numbered, rank, p_value, begun)
 
 
 def _whole(slot: AnySlot) -> AnySlot:
@@ -255,24 +255,26 @@ def _later(
 ) -> list[_Later]:
     """The likeliest causes, each from the event on from which it is likeliest."""
     begun = [slot.slot._replace(since=slot.since) for slot in promising if slot.since]
-    by_slot: dict[AnySlot, Numbered] = {offset.slot: offset for offset in whole}
-    for offset in _fitted(steps, begun, factors):
-        before = by_slot.get(_whole(offset.slot))
-        if before is not None and offset.gained > before.gained:
-            by_slot[_whole(offset.slot)] = offset
+    by_slot: dict[AnySlot, Numbered] = {numbered.slot: numbered for numbered in whole}
+    for numbered in _fitted(steps, begun, factors):
+        before = by_slot.get(_whole(numbered.slot))
+        if before is not None and numbered.gained > before.gained:
+            by_slot[_whole(numbered.slot)] = numbered
     likeliest = list(by_slot.values())
-    if not max(offset.gained for offset in likeliest) > _LEAST_FITTED:
+    if not max(numbered.gained for numbered in likeliest) > _LEAST_FITTED:
         return []
     promised: dict[AnySlot, int] = {slot.slot: slot.since for slot in promising}
     gained = _gains_by_beginning(steps, likeliest, promised, factors)
     later: dict[Slot, tuple[int, int]] = {}
-    for offset, by in zip(likeliest, gained, strict=True):
+    for numbered, by in zip(likeliest, gained, strict=True):
         if by and math.isfinite(max(by.values())):
             most = max(by.values())  # of a filter that diverges so much that 4 less is the same
             alike = [since for since in by if by[since] >= most - AS_LIKELY]
             since = max(by, key=lambda since: by[since])
-            later[offset.slot._replace(since=since)] = min(alike), max(alike)
-    return [_Later(offset, later[offset.slot]) for offset in _fitted(steps, list(later), factors)]
+            later[numbered.slot._replace(since=since)] = min(alike), max(alike)
+    return [
+        _Later(numbered, later[numbered.slot]) for numbered in _fitted(steps, list(later), factors)
+    ]
 
 
 def _gains_by_beginning(
@@ -285,10 +287,12 @@ def _gains_by_beginning(
 
     promised: the event from which on each slot promises most.
     """
-    numbers = [[e.number for e, *_ in steps if offset.slot.touches(e)][1:] for offset in likeliest]
+    numbers = [
+        [e.number for e, *_ in steps if numbered.slot.touches(e)][1:] for numbered in likeliest
+    ]
     tried = [
-        [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(offset.slot)])]
-        for offset, of in zip(likeliest, numbers, strict=True)
+        [*_spread(of, 0, len(of) - 1, _BEGINNINGS), *_nearest(of, promised[_whole(numbered.slot)])]
+        for numbered, of in zip(likeliest, numbers, strict=True)
     ]
     gained = _gains(steps, likeliest, tried, factors)
     for _ in range(_ROUNDS):

@@ -13,6 +13,8 @@ from comparisons.arrays import Array
 from comparisons.faults.columns import LogColumn, pair_words
 from comparisons.faults.grammar import times
 
+LAGS = (1, -1, 2, -2)
+"""Rows by which values may come late, or early where negative, where no more are sought."""
 _ROWS = {"odometry": "sample", "measurements": "measurement", "positions": "position"}
 """What the rows of a stream are called."""
 _OF_ROW = ("all", "way")

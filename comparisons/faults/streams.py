@@ -18,7 +18,7 @@ from comparisons.arrays import Array, Index
 from comparisons.faults.columns import read_columns
 from comparisons.faults.data import waiting_for_control
 from comparisons.faults.fault import Family, Fault, remembering
-from comparisons.faults.misreadings import Misreading, lag_words, late, misreadings
+from comparisons.faults.misreadings import LAGS, Misreading, lag_words, late, misreadings
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions
 from comparisons.logs.odometry import (
     Ackermann,
@@ -36,7 +36,6 @@ RANGE_POWERS = 0, 1, 2
 """With which a variance may grow."""
 _RESOLVED_S = 1e-6
 """Stamps that are closer are of one instant."""
-_LAGS = (1, -1, 2, -2)
 _EVERY = (2, 3)
 """Of so many one is left out, or used."""
 
@@ -131,7 +130,7 @@ def stream_families(log: Log) -> Iterator[Family]:
 def _misreadings(log: Log) -> Iterator[Misreading]:
     streams = ["odometry", "measurements", *(["positions"] if log.positions is not None else [])]
     for stream in streams:
-        yield from misreadings(read_columns(log, stream), _LAGS)
+        yield from misreadings(read_columns(log, stream), LAGS)
 
 
 def _fed(misread: Misreading, log: Log, *numbers: float) -> Log:
@@ -294,14 +293,14 @@ def _with_measures(change: VehicleChange, log: Log, *numbers: float) -> Log:
 def _waiting(log: Log) -> Iterator[Fault]:
     """The odometry is used late by a filter that does nothing before its first sample."""
     whole, waiting = read_columns(log, "odometry")[0], remembering(waiting_for_control)
-    for lag in (one for one in _LAGS if one > 0):
+    for lag in (one for one in LAGS if one > 0):
         misread = late(whole, lag)
         words = f"{misread.words}, none before the first"
         yield Fault(words, waiting, partial(_fed, misread))
 
 
 def _shifted_measurements(log: Log) -> Iterator[Fault]:
-    for lag in _LAGS:
+    for lag in LAGS:
         yield Fault(
             f"the measurements are fused {lag_words(lag, 'odometry sample')}",
             feed=partial(_at_other_stops, lag),
@@ -311,7 +310,7 @@ def _shifted_measurements(log: Log) -> Iterator[Fault]:
             f"the stamps of measurements are those of {'the next' if lag > 0 else 'the last'} scan",
             feed=partial(_at_other_scans, lag),
         )
-    for lag in _LAGS[:2] if log.positions is not None else ():
+    for lag in LAGS[:2] if log.positions is not None else ():
         yield Fault(
             f"positions are fused {lag_words(lag, 'odometry sample')}",
             feed=partial(_positions_at_other_stops, lag),

@@ -72,7 +72,7 @@ class LinearEffects:
         self.size = size
         self._alone, self._derivatives = dict(faults), dict(families)
         self._faults = list(self._alone)
-        self._whole = np.array([made for _, made in faults]).reshape(-1, size)
+        self._whole = np.array(list(self._alone.values())).reshape(-1, size)
         self._families = list[Family]()
         self._like = list[list[Family]]()
         self._slope = np.empty((0, size))

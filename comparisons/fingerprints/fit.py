@@ -41,11 +41,9 @@ class FaultFit:
     @property
     def fault(self) -> Fault:
         """All of them at once, but for those that are none."""
-        numbers = zip(self.families, self.at, strict=True)
-        kept = [
-            _member(number, at) for number, at in numbers if abs(at - _neutral(number)) > _NEUTRAL
-        ]
-        return together(self.base, *kept)
+        numbers = zip(self.from_neutral, self.at, strict=True)
+        members = [_member(family, at) for (family, moved), at in numbers if abs(moved) > _NEUTRAL]
+        return together(self.base, *members)
 
     @property
     def from_neutral(self) -> list[tuple[Family, float]]:

@@ -13,7 +13,7 @@ from decimal import Decimal
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 
 Nanoseconds = NDArray[np.int64]
 _RESOLUTION_S = 1e-9
@@ -116,7 +116,12 @@ def as_floats_tell(after_s: Array, start_s: float, instants_s: Array) -> Array:
     return np.where(np.abs(nearest - after_s) <= 2.0 * np.spacing(abs(start_s)), nearest, after_s)
 
 
-def _nearest(time_s: Array, instants_s: Array) -> Array:
+def nearest_instants(time_s: Array, instants_s: Array) -> Index:
+    """Return the rows (K,) of the instants (J,) nearest to times (K,), of two the first."""
     right = np.clip(np.searchsorted(instants_s, time_s), 1, max(len(instants_s) - 1, 1))
-    left_s, right_s = instants_s[right - 1], instants_s[np.minimum(right, len(instants_s) - 1)]
-    return np.where(time_s - left_s <= right_s - time_s, left_s, right_s)
+    left, right = right - 1, np.minimum(right, len(instants_s) - 1)
+    return np.where(time_s - instants_s[left] <= instants_s[right] - time_s, left, right)
+
+
+def _nearest(time_s: Array, instants_s: Array) -> Array:
+    return instants_s[nearest_instants(time_s, instants_s)]

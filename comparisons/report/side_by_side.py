@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 from rich.console import Console
@@ -19,12 +19,14 @@ from rich.table import Table
 from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
-from comparisons.checks.path_errors import PathErrors
 from comparisons.errors import InputError, outdated_format, printable, shorten
 from comparisons.figures import kept_fields, numbers
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.models import SCHEMA, Result, SmootherResult, found_numbers
+
+if TYPE_CHECKING:
+    from comparisons.checks.path_errors import PathErrors
 
 TITLE = "Results side by side"
 Cell = str | float | None
@@ -88,7 +90,12 @@ def read_results(folders: Sequence[Path]) -> list[ComparedResult]:
 
 def is_result(folder: Path) -> bool:
     """Whether a folder holds a result of a job."""
-    return any((folder / f"{name}.json").is_file() for name in _FILES)
+    return _kind_of(folder) is not None
+
+
+def _kind_of(folder: Path) -> str | None:
+    """The name of the file of `_FILES` that a folder holds; None where it holds none."""
+    return next((name for name in _FILES if (folder / f"{name}.json").is_file()), None)
 
 
 def result_of_path(errors: PathErrors, reference: str, *, aligned: bool) -> ComparedResult:
@@ -184,7 +191,7 @@ def write_table(
 
 
 def _read(folder: Path) -> ComparedResult:
-    name = next((name for name in _FILES if (folder / f"{name}.json").is_file()), None)
+    name = _kind_of(folder)
     if name is None:
         known = ", ".join(f"{one}.json" for one in _FILES)
         raise InputError(f"{folder}: holds no result of slamcheck, expected one of {known}")

@@ -31,8 +31,7 @@ def trajectories_page(
         rows: The table of all figures.
     """
     name, true = reference
-    colours = [colour for colour, _ in zip(cycle((EKF_COLOUR, *REFERENCE_COLOURS)), errors)]
-    paths = list(zip(titles, colours, errors, strict=True))
+    paths = list(zip(titles, cycle((EKF_COLOUR, *REFERENCE_COLOURS)), errors, strict=False))
     tracks = [
         Track(name=name, colour=SMOOTHER_COLOUR, time_s=true.time_s, pose=true.pose),
         *(

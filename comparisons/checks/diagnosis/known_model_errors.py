@@ -24,12 +24,10 @@ from comparisons.explain.hypotheses import (
 from comparisons.explain.recorded import explained
 from comparisons.faults.columns import position_columns
 from comparisons.faults.grammar import POSITION, PRIOR, R_OF_POSITION, Values, times
-from comparisons.faults.misreadings import Misreading, joined_misreadings, misreadings
+from comparisons.faults.misreadings import LAGS, Misreading, joined_misreadings, misreadings
 from comparisons.logs.log import Log
 from comparisons.plane import pose_difference, turned
 
-_LAGS = (1, -1, 2, -2)
-"""Positions by which one may come late, or early."""
 _ENTRIES = (("x", "m"), ("y", "m"), ("heading", "rad"))
 """Of a pose, with their units."""
 
@@ -131,7 +129,7 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
 def _misread(values: Array, number: Index, meant: Array) -> Iterator[Hypothesis]:
     """Positions (L, 2) that are misread. number: (G,) which. meant: (G, 2) their residuals."""
     columns = position_columns()
-    for misreading in (*misreadings(columns, _LAGS), *joined_misreadings(columns)):
+    for misreading in (*misreadings(columns, LAGS), *joined_misreadings(columns)):
 
         def predict(rows: Index, *numbers: float, misreading: Misreading = misreading) -> Array:
             used: Array = misreading.values(values, *numbers) - values

@@ -31,7 +31,7 @@ from comparisons.faults.grammar import (
     Values,
     times,
 )
-from comparisons.faults.misreadings import Misreading, joined_misreadings, misreadings
+from comparisons.faults.misreadings import LAGS, Misreading, joined_misreadings, misreadings
 from comparisons.faults.streams import RANGE_POWERS, added_words
 from comparisons.logs.log import Log
 from comparisons.plane import turned
@@ -42,7 +42,6 @@ from ekf_reference.models.range_bearing import RangeBearing
 
 _READ = read_measurements()
 _COLUMNS = tuple(column.name for column in _READ[1:])
-_LAGS = (1, -1, 2, -2)
 _TWO = np.eye(2)
 _BEARING: NDArray[np.bool_] = np.array([False, True])
 
@@ -234,7 +233,7 @@ def _of_both(measurements: _Seen, nu: Array) -> Iterator[Hypothesis]:
         *((where, _rays(r.pose, point)[0]) for where, point in measurements.points.items()),
     ):
         yield instead(f"the expected measurement is computed {where}", measurements.z - expected)
-    for misread in misreadings(_READ, _LAGS):
+    for misread in misreadings(_READ, LAGS):
         if misread.column is _READ[0]:
             yield _read(measurements, misread, lambda z, rows: z - measurements.z_hat[rows])
 
@@ -282,7 +281,7 @@ def _of_column(part: Quantity, measurements: _Seen, column: LogColumn) -> Iterat
         yield instead(
             "the heading is not subtracted in the expected bearing", z - measurements.r.pose[:, 2]
         )
-    for misread in (*misreadings([column], _LAGS), *joined_misreadings([column])):
+    for misread in (*misreadings([column], LAGS), *joined_misreadings([column])):
         yield _read(measurements, misread, lambda z, rows: z[:, entry])
     yield Hypothesis(
         times(f"the expected {column.name}"),
