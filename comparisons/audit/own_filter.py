@@ -1,16 +1,18 @@
 """A run of the reference EKF as the events of an audit.
 
 Blocks are `pose`, `landmark 17` by the estimate's ids, and `scan landmark 3` by index; sensors are
-`measurements`, `scan landmarks`, `merges` and `positions`. A filter's trace keeps the order in
-time, and of an instant that of each kind: landmarks are measured, then initialised, then positions
-are fused, then scan landmarks measured, initialised and merged, and landmarks removed.
+`measurements`, `scan landmarks`, `merges` and `positions`. Events stand in the order in which the
+filter did them.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import pairwise
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,9 +40,12 @@ from ekf_reference.core.trace import VEHICLE as ORIGIN
 from ekf_reference.core.trace import (
     MeasurementRecord,
     MeasurementRecords,
+    PlacedRecord,
     RemovalRecord,
+    RemovalRecords,
     StepRecord,
     Trace,
+    TraceArrays,
     stack_records,
 )
 from ekf_reference.filters.compressed import CompressedState
@@ -241,7 +246,7 @@ class _Watch(Trace):
         """An update."""
         self._trace.measurement(used)
         size = self._size if used.origin == ORIGIN else POSE.width
-        rows = stack_records([(self._made, used)], size, used.kind)
+        rows = stack_records([PlacedRecord(self._made, 0, used)], size, used.kind)
         before = self._mean
         event = self._events.update(used.kind, rows, 0, len(rows.step))
         self._done(event._replace(correction=self._state()[2] - before))
@@ -250,7 +255,7 @@ class _Watch(Trace):
         """New landmarks, each in its place among all that are there."""
         self._trace.initialisation(new)
         kind = new.kind or POINT
-        rows = stack_records([(self._made, new)], self._size, kind)
+        rows = stack_records([PlacedRecord(self._made, 0, new)], self._size, kind)
         for event in self._events.initialise(kind, rows, range(len(rows.step))):
             self._done(event)
 
@@ -315,26 +320,27 @@ class _Events:
         return self._number, self._time_s
 
     def all(self) -> Iterator[Event]:
-        """Yield all events."""
-        trace = self._run.trace
+        """Yield all events, in the order in which the filter did them."""
+        trace, uses = self._run.trace, _uses(self._run.trace)
         yield from self.begin()
-        seen, seen_poses = (_fused(trace.measurements[kind]) for kind in SENSORS)
-        fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
-        new, new_poses = (_by_step(trace.initialisations[kind].step) for kind in SENSORS)
-        gone = _by_step(trace.removals.step)
-        made = zip(trace.departed, trace.arrived, trace.f, trace.q, strict=True)
-        for step in range(len(trace.f) + 1):
-            if step:
-                yield self.predict(step, StepRecord(*next(made)))
-            yield from self._landmarks(POINT, new.get(step, []), seen.get(step, []))
-            for begin, end in fixes.get(step, []):
-                yield self.update(None, trace.positions, begin, end)
-            yield from self._landmarks(POSE, new_poses.get(step, []), seen_poses.get(step, []))
-            for row in merges.get(step, []):
-                yield self.update(POSE, trace.merges, row, row + 1)
-            for row in gone.get(step, []):
-                yield self.remove(trace.removals.kind[row], int(trace.removals.landmark_index[row]))
+        steps = zip(trace.departed, trace.arrived, trace.f, trace.q, strict=True)
+        for made in range(len(trace.f) + 1):
+            if made:
+                yield self.predict(made, StepRecord(*next(steps)))
+            for use in uses.get(made, ()):
+                yield from self._events_of(use)
         yield self._snapshot()
+
+    def _events_of(self, use: _Use) -> Iterator[Event]:
+        """Yield what the filter did with records that it used together."""
+        records, kind = use.records, use.kind
+        if isinstance(records, RemovalRecords):
+            for row in use.rows:
+                yield self.remove(records.kind[row], int(records.landmark_index[row]))
+        elif use.initialises and kind is not None:
+            yield from self.initialise(kind, records, use.rows)
+        else:
+            yield self.update(kind, records, use.rows.start, use.rows.stop)
 
     def begin(self) -> Iterator[Event]:
         """Yield the prior, and the directions."""
@@ -422,23 +428,6 @@ class _Events:
         self._number += 1
         return self.now
 
-    def _landmarks(
-        self, kind: LandmarkKind, initialised: list[int], fused: list[tuple[int, int]]
-    ) -> Iterator[Event]:
-        """Yield what is measured and initialised at one step, in this order where it can be."""
-        if not initialised and not fused:
-            return
-        new, records = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
-        first, again = set(new.landmark_index[initialised].tolist()), []
-        for begin, end in fused:
-            if first.isdisjoint(records.landmark_index[begin:end].tolist()):
-                yield self.update(kind, records, begin, end)
-            else:
-                again.append((begin, end))
-        yield from self.initialise(kind, new, initialised)
-        for begin, end in again:
-            yield self.update(kind, records, begin, end)
-
     def _snapshot(self) -> Snapshot:
         run, e = self._run, self._run.estimate
         names = [self.name(POINT, i) for i in range(len(e.landmark))]
@@ -470,34 +459,35 @@ def _distinct(landmark_id: Index) -> list[str]:
     return names
 
 
-def _by_step(step: Index) -> dict[int, list[int]]:
-    """Rows by the steps made before them, in order."""
-    found: dict[int, list[int]] = {}
-    for row, at in enumerate(step.tolist()):
-        found.setdefault(at, []).append(row)
-    return found
+class _Use(NamedTuple):
+    """Rows of records that the filter used together. initialises: they are of new landmarks."""
+
+    order: int
+    kind: LandmarkKind | None
+    records: MeasurementRecords | RemovalRecords
+    rows: range
+    initialises: bool
 
 
-def _fused(r: MeasurementRecords) -> dict[int, list[tuple[int, int]]]:
-    """Return, by step, begin and end of the rows that were fused together.
-
-    They share a pose and a weight, and their numbers ascend.
-    """
-    count = len(r.step)
-    found: dict[int, list[tuple[int, int]]] = {}
-    if not count:
-        return found
-    new = np.ones(count, dtype=bool)
-    new[1:] = (
-        (r.step[1:] != r.step[:-1])
-        | (r.pose[1:] != r.pose[:-1]).any(axis=1)
-        | (r.weight[1:] != r.weight[:-1])
-        | (r.number[1:] <= r.number[:-1])
-    )
-    begins = np.flatnonzero(new)
-    for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), count], strict=True):
-        found.setdefault(int(r.step[begin]), []).append((begin, end))
-    return found
+def _uses(trace: TraceArrays) -> dict[int, list[_Use]]:
+    """Return what was used by the number of steps made before it, in order."""
+    tables: list[tuple[LandmarkKind | None, MeasurementRecords | RemovalRecords, bool]] = [
+        (None, trace.positions, False),
+        (POSE, trace.merges, False),
+        (None, trace.removals, False),
+        *((kind, records, False) for kind, records in trace.measurements.items()),
+        *((kind, records, True) for kind, records in trace.initialisations.items()),
+    ]
+    uses: defaultdict[int, list[_Use]] = defaultdict(list)
+    for kind, records, initialises in tables:
+        order, step = records.order.tolist(), records.step.tolist()
+        begins = np.flatnonzero(np.diff(records.order, prepend=-1)).tolist()
+        for begin, end in pairwise((*begins, len(order))):
+            use = _Use(order[begin], kind, records, range(begin, end), initialises)
+            uses[step[begin]].append(use)
+    for together in uses.values():
+        together.sort(key=attrgetter("order"))
+    return uses
 
 
 def _diagonal(blocks: Array) -> Array:

@@ -48,7 +48,7 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
 def _check_trace(path: Path) -> None:
     """Raise InputError for an estimate, saying which command is for it."""
     if path.is_dir():
-        from comparisons.estimates.trace_file import TRACE
+        from comparisons.estimates.planar_trace import TRACE
 
         found = next((path / one for one in (TRACE, f"ekf/{TRACE}") if (path / one).is_file()), "")
         meant = f"slamcheck audit {shlex.quote(str(found))}" if found else "it holds no " + TRACE

@@ -24,7 +24,7 @@ from comparisons.estimates.folder import (
     read_trajectory,
 )
 from comparisons.estimates.landmark_names import LandmarkNames, is_whole
-from comparisons.estimates.trace_file import OUTDATED_TRACE, TRACE, TraceFile, read_trace
+from comparisons.estimates.planar_trace import OUTDATED_TRACE, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.readers.ros_bag import recognise_bag
 from comparisons.logs.stamps import Nanoseconds

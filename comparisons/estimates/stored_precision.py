@@ -5,9 +5,32 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.arrays import Array
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import MeasurementRecords, TraceArrays
 
 SINGLE = 2.0**-24
 """What storing in single precision does to a number, relative to it, at the most."""
+OF_STEPS = ("prior_pose", "prior_covariance", "departed", "arrived", "f", "q")
+OF_RECORDS = ("pose", "landmark", "innovation", "jacobian_pose", "jacobian_other", "noise")
+"""What a planar filter computes, of its trace and of each of its records."""
+
+
+def records_of(trace: TraceArrays) -> tuple[MeasurementRecords, ...]:
+    """Return a planar filter's records: of measurements, of new landmarks, of positions."""
+    return trace.measurements[POINT], trace.initialisations[POINT], trace.positions
+
+
+def figures_of(trace: TraceArrays) -> list[Array]:
+    """Return all that a planar filter computes: OF_STEPS, then OF_RECORDS of each of its records.
+
+    Args:
+        trace: Of x, y, heading and points.
+
+    Returns:
+        Arrays of any shapes.
+    """
+    figures = [getattr(trace, name) for name in OF_STEPS]
+    return figures + [getattr(r, name) for r in records_of(trace) for name in OF_RECORDS]
 
 
 def stored_rounding(*arrays: Array) -> float:

@@ -43,9 +43,9 @@ from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.planar_trace import TraceFile
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
-from comparisons.estimates.trace_file import TraceFile
 from comparisons.figures import Aside, Same
 from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.logs.log import Log, Positions

@@ -7,7 +7,7 @@ same linear equations must reach the same estimate, or the filter's algebra is w
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -114,10 +114,13 @@ class Trace:
 class MeasurementRecords:
     """M measurements of one kind, or parts of them, in the order in which the filter used them.
 
-    step: (M,) steps made before. The rest is as in MeasurementRecord, a row each.
+    step: (M,) steps made before. order: (M,) place in the order of all that the filter did; what
+    was fused together, or initialised together, shares it. The rest is as in MeasurementRecord, a
+    row each.
     """
 
     step: Index
+    order: Index
     number: Index
     landmark_index: Index
     pose: Array
@@ -156,9 +159,13 @@ class MeasurementRecords:
 
 @dataclass(frozen=True)
 class RemovalRecords:
-    """D landmarks marginalised out. step: (D,) steps made before. kind, landmark_index: (D,)."""
+    """D landmarks marginalised out. step, order: (D,) as in MeasurementRecords. kind: of each.
+
+    landmark_index: (D,).
+    """
 
     step: Index
+    order: Index
     kind: tuple[LandmarkKind, ...]
     landmark_index: Index
 
@@ -184,8 +191,17 @@ class TraceArrays:
     removals: RemovalRecords
 
 
-Kept = list[tuple[int, MeasurementRecord]]
-"""Records, with the steps made before each."""
+_R = TypeVar("_R", MeasurementRecord, RemovalRecord)
+
+
+class PlacedRecord(NamedTuple, Generic[_R]):
+    """A record, with the steps made before it and its place in the order of all records."""
+
+    step: int
+    order: int
+    record: _R
+
+
 _Key = tuple[str, LandmarkKind | None]
 """What was recorded, of which kind of landmarks."""
 
@@ -198,8 +214,9 @@ class RecordedTrace(Trace):
         self._prior = np.zeros(3), np.eye(3)
         self._made, self._steps = 0, list[StepRecord]()
         self._stacked_steps: list[StepRecord] = []
-        self._removals: list[tuple[int, RemovalRecord]] = []
-        self._records: defaultdict[_Key, Kept] = defaultdict(list)
+        self._order = 0
+        self._removals: list[PlacedRecord[RemovalRecord]] = []
+        self._records: defaultdict[_Key, list[PlacedRecord[MeasurementRecord]]] = defaultdict(list)
         self._stacked: defaultdict[_Key, list[MeasurementRecords]] = defaultdict(list)
 
     def prior(self, pose: Array, covariance: Array) -> None:
@@ -211,7 +228,7 @@ class RecordedTrace(Trace):
         self._made += 1
         self._steps.append(step)
         if len(self._steps) >= machine.STACKED:
-            self._stacked_steps.append(self._stack_steps())
+            self._stacked_steps.append(stack_steps(self._steps, len(self._prior[0])))
             self._steps = []
 
     def measurement(self, used: MeasurementRecord) -> None:
@@ -224,13 +241,14 @@ class RecordedTrace(Trace):
 
     def removal(self, gone: RemovalRecord) -> None:
         """Keep which landmarks went."""
-        self._removals.append((self._made, gone))
+        self._removals.append(PlacedRecord(self._made, self._next(), gone))
 
     def arrays(self) -> TraceArrays:
         """Return everything so far, stacked."""
+        p = len(self._prior[0])
         departed, arrived, f, q = (
             np.concatenate(parts)
-            for parts in zip(*self._stacked_steps, self._stack_steps(), strict=True)
+            for parts in zip(*self._stacked_steps, stack_steps(self._steps, p), strict=True)
         )
         return TraceArrays(
             prior_pose=self._prior[0],
@@ -248,22 +266,20 @@ class RecordedTrace(Trace):
 
     def _keep(self, what: str, record: MeasurementRecord) -> None:
         key = what, record.kind
-        self._records[key].append((self._made, record))
+        self._records[key].append(PlacedRecord(self._made, self._next(), record))
         if len(self._records[key]) >= machine.STACKED:
             self._stacked[key].append(self._stack(*key))
             self._records[key] = []
+
+    def _next(self) -> int:
+        """Return the place of the next record."""
+        self._order += 1
+        return self._order
 
     def _stack(self, what: str, kind: LandmarkKind | None) -> MeasurementRecords:
         """Return what is not stacked yet."""
         p = POSE.width if what == "merge" else len(self._prior[0])
         return stack_records(self._records[what, kind], p, kind)
-
-    def _stack_steps(self) -> StepRecord:
-        """Return the steps that are not stacked yet: (N, p) poses, (N, p, p) matrices."""
-        p = len(self._prior[0])
-        shapes = (-1, p), (-1, p), (-1, p, p), (-1, p, p)
-        columns = zip(*self._steps, strict=True) if self._steps else ((), (), (), ())
-        return StepRecord(*(np.array(c).reshape(s) for c, s in zip(columns, shapes, strict=True)))
 
     def _joined(self, what: str, kind: LandmarkKind | None) -> MeasurementRecords:
         parts = [vars(part) for part in (*self._stacked[what, kind], self._stack(what, kind))]
@@ -272,11 +288,28 @@ class RecordedTrace(Trace):
         )
 
 
-def stack_records(records: Kept, p: int, kind: LandmarkKind | None) -> MeasurementRecords:
+def stack_steps(steps: Sequence[StepRecord], p: int) -> StepRecord:
+    """Return N steps as one record.
+
+    Args:
+        steps: In order.
+        p: Entries of a pose.
+
+    Returns:
+        Poses (N, p) and matrices (N, p, p).
+    """
+    shapes = (-1, p), (-1, p), (-1, p, p), (-1, p, p)
+    columns = zip(*steps, strict=True) if steps else ((), (), (), ())
+    return StepRecord(*(np.array(c).reshape(s) for c, s in zip(columns, shapes, strict=True)))
+
+
+def stack_records(
+    records: Sequence[PlacedRecord[MeasurementRecord]], p: int, kind: LandmarkKind | None
+) -> MeasurementRecords:
     """Return one row per measurement; what a record says once holds for all of its rows.
 
     Args:
-        records: Each with the steps made before it.
+        records: Each with its place.
         p: Entries of a pose.
         kind: Of the landmarks; None for absolute positions, which have a point's entries.
 
@@ -286,36 +319,35 @@ def stack_records(records: Kept, p: int, kind: LandmarkKind | None) -> Measureme
     width, r = (kind.width, kind.width) if kind else (0, POINT.width)
     shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}
     shapes |= {"jacobian_other": (r, width), "innovation": (r,), "whitened": (r,), "weight": ()}
-    shapes |= {"spread": (r, r), "step": (), "number": (), "landmark_index": (), "origin": ()}
-    found: dict[str, list[Any]] = {name: [np.zeros((0, *shape))] for name, shape in shapes.items()}
-    for step, one in records:
-        values = {"step": step, **one._asdict()}
+    whole_numbers = "step", "order", "number", "landmark_index", "origin"
+    shapes |= {"spread": (r, r), **dict.fromkeys(whole_numbers, ())}
+    parts: dict[str, list[Any]] = {name: [np.zeros((0, *shape))] for name, shape in shapes.items()}
+    for step, order, record in records:
+        values = {"step": step, "order": order, **record._asdict()}
         for name, shape in shapes.items():
             once = np.ndim(values[name]) == len(shape)
-            found[name].append(
-                np.full((len(one.landmark_index), *shape), values[name]) if once else values[name]
-            )
-    joined = {name: np.concatenate(values) for name, values in found.items()}
-    whole = {
-        name: joined[name].astype(np.intp)
-        for name in ("step", "number", "landmark_index", "origin")
-    }
+            rows = (len(record.landmark_index), *shape)
+            parts[name].append(np.full(rows, values[name]) if once else values[name])
+    joined = {name: np.concatenate(values) for name, values in parts.items()}
+    whole = {name: joined[name].astype(np.intp) for name in whole_numbers}
     return MeasurementRecords(**(joined | whole))
 
 
-def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRecords:
+def removal_records(removals: Sequence[PlacedRecord[RemovalRecord]]) -> RemovalRecords:
     """Return one row per landmark that was removed.
 
     Args:
-        removals: Each with the steps made before it.
+        removals: Each with its place.
 
     Returns:
         The removals as arrays, in order.
     """
     rows = [
-        (step, gone.kind, landmark_index)
-        for step, gone in removals
+        (step, order, gone.kind, landmark_index)
+        for step, order, gone in removals
         for landmark_index in gone.landmark_index.tolist()
     ]
-    step, kind, landmark_index = zip(*rows, strict=True) if rows else ((), (), ())
-    return RemovalRecords(np.array(step, dtype=np.intp), kind, np.array(landmark_index, np.intp))
+    step, order, kind, landmark_index = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return RemovalRecords(
+        np.array(step, np.intp), np.array(order, np.intp), kind, np.array(landmark_index, np.intp)
+    )

@@ -27,7 +27,7 @@ from comparisons.audit.run_trace import write_event
 from comparisons.checks import algebra, model
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
-from comparisons.estimates.trace_file import TRACE
+from comparisons.estimates.planar_trace import TRACE
 from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log

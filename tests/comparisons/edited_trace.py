@@ -4,35 +4,51 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-
-from comparisons.estimates.event_arrays import COLUMNS, event_arrays
-from comparisons.trace.reader import TraceReader
+from comparisons.estimates.planar_trace import read_trace
 from comparisons.trace.recorder import Recorder
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import MeasurementRecords
 from tests.helpers import Array
 
 Columns = dict[str, Array]
-"""By part and name, as `PlanarEvents.arrays`."""
+"""By part and name: `step_f`, `update_noise`, `initialise_weight`, `position_number` and so on."""
+_STEPS = ("departed", "arrived", "f", "q")
+_RECORDS = {
+    "number": "measurement", "landmark_index": "landmark", "landmark": "point", "step": "step",
+    "weight": "weight", "pose": "pose", "innovation": "innovation", "noise": "noise",
+    "jacobian_pose": "jacobian_pose", "jacobian_other": "jacobian_other",
+}  # fmt: skip
+"""What columns call the fields of records."""
 
 
 def edit_trace(path: Path, edit: Callable[[Columns], object]) -> None:
     """Put a trace with other columns in a trace's place. Of a step, new landmarks come last."""
-    planar = event_arrays(TraceReader(path))
-    columns = {name: array.copy() for name, array in planar.arrays.items()}
+    file = read_trace(path)
+    trace = file.trace
+    columns = {f"step_{name}": getattr(trace, name).copy() for name in _STEPS}
+    columns["step_time_s"] = file.step_time_s.copy()
+    columns |= _columns("update", trace.measurements[POINT])
+    columns |= _columns("initialise", trace.initialisations[POINT])
+    columns |= _columns("position", trace.positions)
     edit(columns)
     path.unlink()
     with Recorder(path, synced=False) as record:
-        record.prior({"pose": 3}, columns["prior_covariance"], point=columns["prior_pose"])
+        record.prior({"pose": 3}, trace.prior_covariance, point=trace.prior_pose)
         for step in range(len(columns["step_time_s"]) + 1):
             if step:
                 _predict(record, columns, step - 1)
             for row in np.flatnonzero(columns["position_step"] == step).tolist():
                 _fuse_position(record, columns, row)
             for row in np.flatnonzero(columns["update_step"] == step).tolist():
-                name = planar.blocks[int(columns["update_landmark"][row])]
-                _update(record, columns, row, name)
+                _update(record, columns, row, file.blocks[columns["update_landmark"][row]])
             for row in np.flatnonzero(columns["initialise_step"] == step).tolist():
-                name = planar.blocks[int(columns["initialise_landmark"][row])]
-                _augment(record, columns, row, name)
+                _augment(record, columns, row, file.blocks[columns["initialise_landmark"][row]])
+
+
+def _columns(part: str, records: MeasurementRecords) -> Columns:
+    """Return what may be edited of records. Numbers are floats, for a fault may be a fraction."""
+    columns = {f"{part}_{name}": getattr(records, of).copy() for of, name in _RECORDS.items()}
+    return columns | {f"{part}_measurement": records.number.astype(np.float64)}
 
 
 def _predict(record: Recorder, columns: Columns, row: int) -> None:
@@ -43,14 +59,14 @@ def _predict(record: Recorder, columns: Columns, row: int) -> None:
 
 
 def _fuse_position(record: Recorder, columns: Columns, row: int) -> None:
-    names = ("innovation", "jacobian_pose", "noise", "pose", "number", "weight")
+    names = ("innovation", "jacobian_pose", "noise", "pose", "measurement", "weight")
     residual, h, r, pose, number, weight = (columns[f"position_{name}"][row] for name in names)
     record.update("position", residual, h, r, ["pose"], point=pose, numbers=number, weight=weight)
 
 
 def _update(record: Recorder, columns: Columns, row: int, landmark: str) -> None:
-    of = {name: columns[f"update_{name}"][row] for name in COLUMNS["update"]}
-    h = np.hstack((of["jacobian_pose"], of["jacobian_landmark"]))
+    of = {name: columns[f"update_{name}"][row] for name in _RECORDS.values()}
+    h = np.hstack((of["jacobian_pose"], of["jacobian_other"]))
     record.update(
         "range and bearing",
         of["innovation"],
@@ -64,11 +80,11 @@ def _update(record: Recorder, columns: Columns, row: int, landmark: str) -> None
 
 
 def _augment(record: Recorder, columns: Columns, row: int, landmark: str) -> None:
-    of = {name: columns[f"initialise_{name}"][row] for name in COLUMNS["initialise"]}
+    of = {name: columns[f"initialise_{name}"][row] for name in _RECORDS.values()}
     record.augment(
         landmark,
         of["jacobian_pose"],
-        of["jacobian_measurement"],
+        of["jacobian_other"],
         of["noise"],
         ["pose"],
         point=of["pose"],

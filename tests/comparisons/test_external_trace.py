@@ -24,7 +24,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.landmark_names import LandmarkNames
-from comparisons.estimates.trace_file import OUTDATED_TRACE, TRACE, read_trace
+from comparisons.estimates.planar_trace import OUTDATED_TRACE, TRACE, read_trace
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Fault
 from comparisons.faults.tried import TriedFaults
@@ -323,11 +323,11 @@ def put(name: str, row: int, value: float) -> Callable[[Columns], None]:
 BAD: dict[str, tuple[Callable[[Columns], object], str]] = {
     "fraction": (
         put("update_measurement", 3, 0.5),
-        "update_measurement holds a value that is not a whole",
+        "numbers holds a value that is not a whole",
     ),
-    "backwards": (put("step_time_s", 7, 0.0), "step_time_s must increase"),
+    "backwards": (put("step_time_s", 7, 0.0), "expected a time after"),
     "no measurement": (put("update_measurement", 0, 1e9), "uses measurement 1000000000"),
-    "weight": (put("update_weight", 0, 0.0), "update_weight holds a value outside"),
+    "weight": (put("update_weight", 0, 0.0), "weight is 0, expected 1e-09 to 1"),
     "end": (put("step_time_s", -1, 1e3), "the last step ends at"),
     "too early": (lambda a: a["step_time_s"].__isub__(1e3), "the first step ends at"),
 }

@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.landmark_names import LandmarkNames
-from comparisons.estimates.trace_file import TRACE
+from comparisons.estimates.planar_trace import TRACE
 from comparisons.jobs.check import check
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.logs.log import Log

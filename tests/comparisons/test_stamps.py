@@ -19,7 +19,7 @@ from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE
+from comparisons.estimates.planar_trace import TRACE
 from comparisons.fingerprints.clock import works_with_floats, written_from_floats
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.grading import Grader

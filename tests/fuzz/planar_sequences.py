@@ -22,7 +22,7 @@ from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE
+from comparisons.estimates.planar_trace import TRACE
 from comparisons.jobs.check import check
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import Solution, solve

@@ -24,7 +24,7 @@ from comparisons.baseline import build_baseline, read_baseline, write_baseline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE
+from comparisons.estimates.planar_trace import TRACE
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
 from comparisons.experiments.montecarlo.runs import RunRecords

@@ -8,7 +8,7 @@ the run, as that of a replay of these equations in single precision does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,8 +17,15 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
-from comparisons.checks.diagnosis.trace_recursion import BATCHES, LinearReplay, replay
-from comparisons.estimates.stored_precision import SINGLE, restored
+from comparisons.checks.diagnosis.trace_recursion import LinearReplay, replay
+from comparisons.estimates.stored_precision import (
+    OF_RECORDS,
+    OF_STEPS,
+    SINGLE,
+    figures_of,
+    records_of,
+    restored,
+)
 from comparisons.plane import pose_difference
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
@@ -33,20 +40,15 @@ _FAR = 30.0
 """A gap of more times what one draw did is not explained by the largest of several."""
 _ALIKE = 10.0
 """A gap is that of a computation in single precision up to so many times a replay's."""
-_ROUNDED = ("pose", "landmark", "innovation", "jacobian_pose", "jacobian_other", "noise")
-_STEPS = ("prior_pose", "prior_covariance", "departed", "arrived", "f", "q")
 
 
 def _restored(
     trace: TraceArrays, rng: np.random.Generator, precision: type = np.float32
 ) -> TraceArrays:
-    batches = [records(trace) for records in BATCHES]
-    arrays = [getattr(trace, name) for name in _STEPS]
-    arrays += [getattr(records, name) for records in batches for name in _ROUNDED]
-    moved = iter(restored(arrays, rng, precision))
-    steps: dict[str, Any] = {name: next(moved) for name in _STEPS}
+    moved = iter(restored(figures_of(trace), rng, precision))
+    steps = _named(moved, OF_STEPS)
     measurement_records, initialised, fixes = (
-        replace(records, **_named(moved)) for records in batches
+        replace(records, **_named(moved, OF_RECORDS)) for records in records_of(trace)
     )
     return replace(
         trace,
@@ -101,8 +103,8 @@ def rounding_gap(
     return tolerance
 
 
-def _named(moved: Iterator[Array]) -> dict[str, Any]:
-    return {name: next(moved) for name in _ROUNDED}
+def _named(moved: Iterator[Array], names: Sequence[str]) -> dict[str, Any]:
+    return {name: next(moved) for name in names}
 
 
 def allowed_of_estimate(ekf: Gaussian, sigma: Array, *, covariance: bool) -> Allowed:

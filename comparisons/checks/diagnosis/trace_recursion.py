@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.agreement import Gaussian
+from comparisons.estimates.stored_precision import records_of
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
-
-BATCHES: tuple[Callable[[TraceArrays], MeasurementRecords], ...] = (
-    lambda trace: trace.measurements[POINT],
-    lambda trace: trace.initialisations[POINT],
-    lambda trace: trace.positions,
-)
-"""Records in the order in which those of an instant are used."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +65,7 @@ class TraceRecursion:
         self.mean: Array = np.zeros(n, dtype)
         self.covariance: Array = np.zeros((n, n), dtype)
         self.mean[:3], self.covariance[:3, :3] = trace.prior_pose, trace.prior_covariance
-        self._batches = [records(trace) for records in BATCHES]
+        self._batches = records_of(trace)
         self._next_row, self._step, self._dtype = [0, 0, 0], 0, dtype
 
     def run_to(self, end: int) -> None:

@@ -17,7 +17,7 @@ from comparisons.audit.run_trace import write_event, write_run
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE
+from comparisons.estimates.planar_trace import TRACE
 from comparisons.explain.events import PLAIN, digits
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.grammar import number_text
