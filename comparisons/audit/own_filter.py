@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from operator import attrgetter
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from comparisons.trace.events import (
     TracePrior,
     Update,
 )
+from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
@@ -71,6 +73,22 @@ def run_events(run: EkfRun) -> Iterator[Event]:
         The events, numbered from 0.
     """
     return _Events(run).all()
+
+
+def write_run(run: EkfRun, path: Path) -> None:
+    """Write a run's trace for `slamcheck audit`, in a folder that is synced as a whole.
+
+    Args:
+        run: As the filter made it.
+        path: Of the trace.
+
+    Raises:
+        InputError: The file exists already, or cannot be written.
+    """
+    components = {name: sensor.components for name, sensor in run.sensors.items()}
+    with Recorder(path, components=components, synced=False) as record:
+        for event in run_events(run):
+            record.event(event)
 
 
 def sound_recursion(run: EkfRun) -> tuple[Array, Array] | None:

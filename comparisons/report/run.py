@@ -183,7 +183,7 @@ class RunReport(Report[Comparison, Result]):
 
         files: dict[str, Callable[[Path], object]] = {"report.html": write}
         if config.report.trace:
-            from comparisons.audit.run_trace import write_run
+            from comparisons.audit.own_filter import write_run
             from comparisons.estimates.planar_trace import TRACE
 
             files[f"ekf/{TRACE}"] = lambda path: write_run(c.ekf, path)

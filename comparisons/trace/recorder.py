@@ -18,7 +18,20 @@ from numpy.typing import ArrayLike
 from comparisons.arrays import Array
 from comparisons.errors import InputError, quoted, shorten
 from comparisons.trace.batch import COLUMNS, KINDS, MOST_COLUMNS, ROW, pack
-from comparisons.trace.events import ADDITIVE, CHARTS
+from comparisons.trace.events import (
+    ADDITIVE,
+    CHARTS,
+    Augment,
+    Clone,
+    Directions,
+    Event,
+    Predict,
+    Remove,
+    Reset,
+    Snapshot,
+    TracePrior,
+    Update,
+)
 from comparisons.trace.reader import APPLICATION, TABLES, VERSION, last_state
 from comparisons.trace.rows import MOST_ENTRIES
 
@@ -472,6 +485,39 @@ class Recorder:
         note = self._text(json.dumps({"names": names[0], "blind": names[1]}))
         self._put(DIRECTIONS, text, (np.column_stack(columns).tobytes(),), note)
 
+    def event(self, event: Event) -> None:
+        """Record an event as it was read, or as another filter did it, at its own time.
+
+        Args:
+            event: Of any kind; its number plays no part, nor does the recorder's time where the
+                event has one.
+        """
+        if event.time_s is not None:
+            self.at(event.time_s)
+        match event:
+            case TracePrior(blocks=blocks, dims=dims, covariance=p, point=point):
+                charts = dict(zip(blocks, event.charts, strict=False))
+                self.prior(dict(zip(blocks, dims, strict=True)), p, point=point, charts=charts)
+            case Predict(blocks=blocks, jacobian=f, noise=q):
+                self.predict(f, q, blocks, point=event.point, after=event.after)
+            case Update(sensor=sensor, residual=residual, jacobian=h, noise=r):
+                notes = _noted(event, MeasurementNotes.__annotations__)
+                self._measured(int(event.used), sensor, residual, (h, r), event.blocks, notes)
+            case Augment(jacobian=g_x, noise_jacobian=g_z, noise=r):
+                notes = _noted(event, AugmentationNotes.__annotations__)
+                self.augment(event.name, g_x, g_z, r, event.blocks, **notes)
+            case Clone():
+                self.clone(event.source, event.name)
+            case Remove():
+                self.remove(*event.blocks)
+            case Reset():
+                self.reset(event.jacobian, event.blocks)
+            case Snapshot(covariance=p, mean=mean, error=error):
+                self.snapshot(p, event.blocks, mean=mean, error=error)
+            case Directions():
+                basis = dict(zip(event.names, event.basis.T, strict=True))
+                self.directions(basis, event.blind, blocks=event.blocks)
+
     def _put(
         self, kind: int, blocks: int, blobs: Iterable[Blob], text: int = -1, used: int = 0
     ) -> None:
@@ -651,6 +697,12 @@ class Recorder:
         self._first, state = last_state(self._path)
         self._dims = {name: dim for name, dim, _ in state}
         self._charts = {name: chart for name, _, chart in state}
+
+
+def _noted(event: Event, names: Iterable[str]) -> Any:
+    """Return what an event says beside what the filter used, by the names of the recorder's."""
+    values = {name: getattr(event, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _name(name: str) -> str:

@@ -23,7 +23,6 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.arrays import Array
-from comparisons.audit.run_trace import write_event
 from comparisons.checks import algebra, model
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
@@ -117,9 +116,7 @@ def in_single(folder: Path) -> None:
     (folder / TRACE).unlink()
     with Recorder(folder / TRACE) as record:
         for event in events:
-            if event.time_s is not None:
-                record.at(event.time_s)
-            write_event(event._replace(**_rounded(event)), record)  # type: ignore[arg-type]
+            record.event(event._replace(**_rounded(event)))  # type: ignore[arg-type]
     for name, separator in (("trajectory.tum", " "), ("landmarks.csv", ",")):
         lines = []
         for line in (folder / name).read_text(encoding="utf-8").splitlines():

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
 from comparisons.estimates.planar_trace import read_trace
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT

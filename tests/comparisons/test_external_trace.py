@@ -14,7 +14,8 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.smoother_input import recorded_system_of, solve_recorded
 from comparisons.adapters.timeline import build_timeline
-from comparisons.audit.run_trace import write_run
+from comparisons.audit.own_filter import write_run
+from comparisons.audit.replay import Replay
 from comparisons.checks.agreement import Gap, Gaussian, gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
@@ -37,6 +38,8 @@ from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
 from comparisons.report.panels import external_panels
+from comparisons.trace.events import TracePrior
+from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
@@ -422,6 +425,26 @@ def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(plain: Plain)
     assert apart(trace).within(1e-9)
     assert not apart(replace(trace, q=rest + 1e-6 * run.trace.q)).within(1e-9)
     assert not apart(replace(trace, prior_covariance=start + 1e-6 * np.eye(3))).within(1e-9)
+
+
+def test_a_landmark_that_begins_and_is_measured_at_one_instant(tmp_path: Path) -> None:
+    """Filtered again in the order of events: measured first, it would not be there yet."""
+    rng, path = np.random.default_rng(3), tmp_path / TRACE
+    h, r = rng.normal(size=(2, 5)), np.diag((0.5, 0.25))
+    with Recorder(path) as record:
+        record.prior({"pose": 3}, np.eye(3), point=np.zeros(3))
+        record.at(1.0)
+        record.predict(P, 0.1 * P, point=np.zeros(3), after=np.zeros(3))
+        record.augment("landmark 1", HALF, EYE, r, ["pose"], after=np.ones(2), **AT)
+        blocks, point = ["pose", "landmark 1"], np.array((0.0, 0.0, 0.0, 1.0, 1.0))
+        record.update("x", EYE[0], h, r, blocks, point=point, numbers=1)
+    filtered_again = replay(read_trace(path).trace, np.array((0, 1)), 1, np.float64).last
+    prior, *others = TraceReader(path)
+    assert isinstance(prior, TracePrior)
+    by_events = Replay(prior)
+    fused = [by_events.apply(event) for event in others][-1]
+    np.testing.assert_allclose(filtered_again.covariance, by_events.covariance, rtol=1e-12)
+    np.testing.assert_allclose(filtered_again.mean, point + present(fused).applied, rtol=1e-12)
 
 
 @pytest.mark.slow

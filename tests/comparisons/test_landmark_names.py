@@ -10,7 +10,6 @@ import pytest
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.audit.own_filter import run_events
-from comparisons.audit.run_trace import write_event
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
@@ -235,9 +234,7 @@ def handed_in(log: Log, run: EkfRun, folder: Path, of_map: str, of_trace: str) -
     names = {f"landmark {number}": f"landmark {name}" for number, name in log.labels.items()}
     with Recorder(folder / TRACE) as record:
         for event in run_events(run):
-            if event.time_s is not None:
-                record.at(event.time_s)
-            write_event(renamed(event, names if of_trace == "label" else {}), record)
+            record.event(renamed(event, names if of_trace == "label" else {}))
     return check(log, read_external(folder))
 
 

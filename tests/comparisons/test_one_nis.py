@@ -12,8 +12,7 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.audit import audit
 from comparisons.audit.consistency import event_innovations
-from comparisons.audit.own_filter import run_events
-from comparisons.audit.run_trace import write_event, write_run
+from comparisons.audit.own_filter import run_events, write_run
 from comparisons.checks.consistency.consistency import check_innovations
 from comparisons.config import EkfConfig
 from comparisons.innovations import SensorInnovations
@@ -88,11 +87,9 @@ def test_another_noise_in_the_trace_is_another_nis(tmp_path: Path) -> None:
     components = {name: sensor.components for name, sensor in run.sensors.items()}
     with Recorder(tmp_path / "run.trace", components=components) as record:
         for event in run_events(run):
-            if event.time_s is not None:
-                record.at(event.time_s)
             if isinstance(event, Update):
                 event = event._replace(noise=0.5 * event.noise)
-            write_event(event, record)
+            record.event(event)
     own, other = figures(check_innovations(run)), figures(of_trace(tmp_path))
     assert own.keys() == other.keys()
     counts = [name for name in own if name.endswith((" 0", " 1")) and " by " not in name]

@@ -11,7 +11,7 @@ import pytest
 from comparisons.arrays import Array
 from comparisons.audit import spurious
 from comparisons.audit.audit import audit
-from comparisons.audit.run_trace import write_run
+from comparisons.audit.own_filter import write_run
 from comparisons.audit.spurious import HEADING, LargestShare, Learnt, LearntDirection
 from comparisons.checks.linearisation import linearisation_cause
 from comparisons.checks.spurious import SpuriousFinding, spurious_rows

@@ -17,7 +17,6 @@ import numpy as np
 
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.replay import Replay
-from comparisons.audit.run_trace import write_event
 from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
@@ -39,18 +38,7 @@ def write(events: Iterable[Event], path: Path) -> None:
     """Record events, of any kind, again."""
     with Recorder(path, synced=False) as record:
         for event in events:
-            if event.time_s is not None:
-                record.at(event.time_s)
-            match event:
-                case Clone():
-                    record.clone(event.source, event.name)
-                case Reset():
-                    record.reset(event.jacobian, event.blocks)
-                case Update() if not event.used:
-                    h, r = event.jacobian, event.noise
-                    record.reject(event.sensor, event.residual, h, r, event.blocks)
-                case _:
-                    write_event(event, record)
+            record.event(event)
 
 
 def replayed(events: list[Event], count: int) -> Replay:

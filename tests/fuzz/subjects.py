@@ -19,7 +19,7 @@ from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.audit import audit
-from comparisons.audit.run_trace import write_run
+from comparisons.audit.own_filter import write_run
 from comparisons.baseline import build_baseline, read_baseline, write_baseline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.estimates.external import ExternalEstimate, read_external

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,8 +66,8 @@ class TraceRecursion:
         self.mean: Array = np.zeros(n, dtype)
         self.covariance: Array = np.zeros((n, n), dtype)
         self.mean[:3], self.covariance[:3, :3] = trace.prior_pose, trace.prior_covariance
-        self._batches = records_of(trace)
-        self._next_row, self._step, self._dtype = [0, 0, 0], 0, dtype
+        self._uses = _in_order(trace)
+        self._next_use, self._step, self._dtype = 0, 0, dtype
 
     def run_to(self, end: int) -> None:
         """Go on until so many steps are made, and all that is used then is."""
@@ -86,17 +87,41 @@ class TraceRecursion:
         p[:3, :3] += q
 
     def _use(self) -> None:
-        for kind, records in enumerate(self._batches):
-            last = int(np.searchsorted(records.step, self._step, side="right"))
-            for row in range(self._next_row[kind], last):
-                self._use_row(kind, records, row)
-            self._next_row[kind] = last
+        """Use all records of the instant that is reached."""
+        while self._next_use < len(self._uses) and self._uses[self._next_use].step <= self._step:
+            self._use_row(self._uses[self._next_use])
+            self._next_use += 1
 
-    def _use_row(self, kind: int, records: MeasurementRecords, row: int) -> None:
-        seen = records.landmark_index[row : row + 1]
-        columns = self.layout.columns(seen[seen >= 0])
-        use = _augmented if kind == 1 else _updated
-        self.mean, self.covariance = use(self.mean, self.covariance, records, row, columns)
+    def _use_row(self, use: _RowUse) -> None:
+        index = use.records.landmark_index[use.row : use.row + 1]
+        columns = self.layout.columns(index[index >= 0])
+        apply = _augmented if use.initialises else _updated
+        self.mean, self.covariance = apply(
+            self.mean, self.covariance, use.records, use.row, columns
+        )
+
+
+class _RowUse(NamedTuple):
+    """A row of records that is used, in its place. initialises: it is of a new landmark."""
+
+    step: int
+    order: int
+    row: int
+    records: MeasurementRecords
+    initialises: bool
+
+
+def _in_order(trace: TraceArrays) -> list[_RowUse]:
+    """Return all rows of a trace's records in the order in which its filter used them."""
+    measured, initialised, positions = records_of(trace)
+    uses = [
+        _RowUse(step, order, row, records, records is initialised)
+        for records in (measured, initialised, positions)
+        for row, (step, order) in enumerate(
+            zip(records.step.tolist(), records.order.tolist(), strict=True)
+        )
+    ]
+    return sorted(uses, key=lambda use: (use.step, use.order))
 
 
 class _Turning(TraceRecursion):
@@ -124,12 +149,12 @@ class _Turning(TraceRecursion):
         self.trace.arrived[step, 2] += turns
         super()._move(step)
 
-    def _use_row(self, kind: int, records: MeasurementRecords, row: int) -> None:
-        pose = records.pose[row].copy()
+    def _use_row(self, use: _RowUse) -> None:
+        pose = use.records.pose[use.row].copy()
         if not np.array_equal(pose, self._last_pose):  # what is fused together has one point
             self._last_pose, self._last_turns = pose, self._turns(pose[2])
-        records.pose[row, 2] += self._last_turns
-        super()._use_row(kind, records, row)
+        use.records.pose[use.row, 2] += self._last_turns
+        super()._use_row(use)
 
 
 def _updated(

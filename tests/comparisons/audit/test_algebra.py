@@ -12,8 +12,7 @@ from comparisons.arrays import Array
 from comparisons.audit import algebra
 from comparisons.audit.algebra import AlgebraCheck, AuditFinding, faults_of
 from comparisons.audit.audit import Audit, audit
-from comparisons.audit.own_filter import run_events
-from comparisons.audit.run_trace import write_event, write_run
+from comparisons.audit.own_filter import run_events, write_run
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
@@ -47,9 +46,7 @@ def repeated(c: Comparison) -> list[Event]:
 def write(events: list[Event], path: Path) -> None:
     with Recorder(path) as record:
         for event in events:
-            if event.time_s is not None:
-                record.at(event.time_s)
-            write_event(event, record)
+            record.event(event)
 
 
 @pytest.mark.slow

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.audit.own_filter import run_events
+from comparisons.audit.own_filter import run_events, write_run
 from comparisons.audit.replay import Replay
-from comparisons.audit.run_trace import write_event, write_run
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.jobs.run import Comparison
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
@@ -199,7 +198,7 @@ def test_a_correction_is_written_where_there_is_one(
     )
     with Recorder(tmp_path / "run.trace") as record:
         for event in (prior, measured):
-            write_event(event, record)
+            record.event(event)
     (_, read) = TraceReader(tmp_path / "run.trace")
     assert isinstance(read, Update)
     assert same(read.correction, correction)

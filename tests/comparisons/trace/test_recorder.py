@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.trace import reader
 from comparisons.trace.batch import unpack
-from comparisons.trace.events import Augment, Clone, Predict, Snapshot, TracePrior, Update
+from comparisons.trace.events import Augment, Clone, Event, Predict, Snapshot, TracePrior, Update
 from comparisons.trace.reader import TraceReader
 from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 from tests.processes import python
@@ -57,6 +57,32 @@ def test_matrices_that_repeat_are_stored_once(path: Path) -> None:
     assert matrices(path) == [4, 4, 1]
     found = [event.jacobian[0, 0] for event in TraceReader(path) if isinstance(event, Predict)]
     assert found == [2.0, 2.0, 4.0, 4.0, 2.0]
+
+
+def test_events_of_every_kind_are_recorded_again_as_they_were(path: Path) -> None:
+    with Recorder(path) as recorder:
+        recorder.at(0.5)
+        recorder.prior({"a": 1, "q": 1}, P, point=[1.0, 2.0], charts={"q": "so3 left"})
+        recorder.directions({"east": [1.0, 0.0]}, ["x"])
+        recorder.predict(P, P, point=[1.0, 2.0], after=[3.0, 4.0])
+        recorder.at(0.75)
+        notes: dict[str, Any] = {"correction": [1.0, 2.0], "gain": [[0.5], [0.25]], "numbers": [7]}
+        recorder.update("x", 1.0, [[1.0, 0.5]], 2.0, weight=0.5, **notes)
+        recorder.reject("x", 3.0, 1.0, 2.0, ["q"], point=[2.0])
+        recorder.augment("new", 2.0, 1.0, 4.0, ["a"], after=[1.0], weight=0.0, chart="se2")
+        recorder.clone("q", "copy")
+        recorder.remove("a", "copy")
+        recorder.reset(2.0, ["q"])
+        recorder.snapshot(P, mean=[1.0, 2.0, 3.0], error=[0.5, 0.25])
+    events = list(TraceReader(path))
+    assert {type(event) for event in events} == set(get_args(Event))
+    again = path.with_name("again.trace")
+    with Recorder(again) as recorder:
+        for event in events:
+            recorder.event(event)
+    for event, copied in zip(events, TraceReader(again), strict=True):
+        for name, value in event._asdict().items():
+            np.testing.assert_array_equal(getattr(copied, name), value, strict=value is not None)
 
 
 def test_a_minute_of_an_inertial_filter_is_small(path: Path) -> None:
