@@ -19,13 +19,12 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable, quoted
 from comparisons.logs import schema
 from comparisons.logs.odometry import Integration, Odometry, RelativePoses, poses_at
+from comparisons.logs.records import LogRecord, Stream
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.schema import NO_LANDMARK as NO_LANDMARK
 from comparisons.logs.validation import (
     LARGEST,
     LARGEST_ID,
-    Record,
-    Stream,
     frozen,
     positive_definite,
 )
@@ -165,7 +164,7 @@ class LoopClosures(Stream):
 
 
 @dataclass(frozen=True)
-class Landmarks(Record):
+class Landmarks(LogRecord):
     """A map. id: (L,), unique. position_m: (L, 2). covariance: (L, 2, 2), zero for exact."""
 
     table = schema.LANDMARKS
@@ -181,7 +180,7 @@ class Landmarks(Record):
 
 
 @dataclass(frozen=True, repr=False)
-class Poses(Record, Brief):
+class Poses(LogRecord, Brief):
     """A trajectory. time_s: (N,). pose: (N, 3) x, y [m], heading [rad]."""
 
     table = schema.POSES
@@ -195,7 +194,7 @@ class Poses(Record, Brief):
 
 
 @dataclass(frozen=True)
-class Surfaces(Record):
+class Surfaces(LogRecord):
     """Walls and outlines as segments. segment: (S, 4) x1, y1, x2, y2 [m]."""
 
     table = schema.SURFACES

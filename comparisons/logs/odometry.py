@@ -11,7 +11,8 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs import schema
-from comparisons.logs.validation import Stream, refuse
+from comparisons.logs.records import Stream
+from comparisons.logs.validation import refuse
 from comparisons.shown import Brief
 from graphslam import increments
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.logs import schema
-from comparisons.logs.validation import Record, Stream
+from comparisons.logs.records import LogRecord, Stream
 
 Index = NDArray[np.int64]
 
@@ -62,7 +62,7 @@ class Scans(Stream):
 
 
 @dataclass(frozen=True)
-class Clouds(Record):
+class Clouds(LogRecord):
     """Scans in three dimensions, one after the other in one table of points.
 
     time_s: (N,). first: (N + 1,) row of each scan's first point, and the end. point_m: (P, 3)

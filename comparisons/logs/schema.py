@@ -195,9 +195,7 @@ SIGMA_RANGE = Column(
     ("sigma_range",),
     ("range_sigma", "range_std", "std_range", "range_stddev", "sigma_r"),
     limits=SIGMA,
-    stated=Stated(
-        "--sigma-range", "M", "Sigma of ranges, if no column has it.", of=("range_m",)
-    ),
+    stated=Stated("--sigma-range", "M", "Sigma of ranges, if no column has it.", of=("range_m",)),
 )
 SIGMA_BEARING = Column(
     "sigma_bearing_rad",
@@ -246,9 +244,7 @@ SIGMA_POSITION = Column(
     ("sigma",),
     ("sigma_position", "position_sigma", "position_std", "std"),
     limits=SIGMA,
-    stated=Stated(
-        "--sigma-position", "M", "Sigma of positions, if no column has it.", of=("x_m",)
-    ),
+    stated=Stated("--sigma-position", "M", "Sigma of positions, if no column has it.", of=("x_m",)),
 )
 LATITUDE = Column("latitude", ("latitude", "lat"), fields=(("latitude",),))
 LONGITUDE = Column("longitude", ("longitude", "lon", "lng"), fields=(("longitude",),))
@@ -369,7 +365,7 @@ def _matrix(*columns: Column, has_gaps: bool = False, is_singular: bool = False)
 
 
 @dataclass(frozen=True)
-class Table:
+class RecordTable:
     """The arrays of a record.
 
     Attributes:
@@ -411,26 +407,26 @@ class Table:
 _POSE = (X, Y, HEADING)
 _MOTION = (DX, DY, DHEADING)
 _MAP_COVARIANCE = (VAR_X, COV_XY, VAR_Y)
-VELOCITY = Table(
+VELOCITY = RecordTable(
     "velocity odometry",
     (_single(TIME), _single(SPEED), _single(YAW_RATE)),
     order="not falling",
     stated=(SIGMA_SPEED, SIGMA_TURN),
 )
-STEERED = Table(
+STEERED = RecordTable(
     "steering odometry",
     (_single(TIME), _single(SPEED), _single(STEERING)),
     order="not falling",
     stated=(SIGMA_SPEED, SIGMA_TURN, WHEELBASE),
 )
-RELATIVE = Table(
+RELATIVE = RecordTable(
     "relative poses",
     (_single(TIME), _group("displacement", *_MOTION), _matrix(*COVARIANCE, has_gaps=True)),
     order="increasing",
     stated=(SIGMA_MOVE, SIGMA_TURN),
 )
-POSES = Table("poses", (_single(TIME), _group("pose", *_POSE)), order="increasing")
-CLOSURES = Table(
+POSES = RecordTable("poses", (_single(TIME), _group("pose", *_POSE)), order="increasing")
+CLOSURES = RecordTable(
     "loop closures",
     (
         _single(Column("from_s")),
@@ -439,7 +435,7 @@ CLOSURES = Table(
         _matrix(*COVARIANCE),
     ),
 )
-MEASUREMENTS = Table(
+MEASUREMENTS = RecordTable(
     "measurements",
     tuple(
         map(
@@ -449,19 +445,19 @@ MEASUREMENTS = Table(
     ),
     order="not falling",
 )
-POSITIONS = Table(
+POSITIONS = RecordTable(
     "positions",
     (_single(TIME), _group("position_m", X, Y), _matrix(*_MAP_COVARIANCE)),
     order="increasing",
 )
-LANDMARKS = Table(
+LANDMARKS = RecordTable(
     "landmarks",
     (_single(ID), _group("position_m", X, Y), _matrix(*_MAP_COVARIANCE, is_singular=True)),
 )
-SURFACES = Table(
+SURFACES = RecordTable(
     "surfaces", (_group("segment", *map(Column, ("x1_m", "y1_m", "x2_m", "y2_m"))),)
 )
-SCANS = Table(
+SCANS = RecordTable(
     "scans",
     (
         ArrayField("time_s", ("N",), words="of the first beam"),
@@ -471,11 +467,13 @@ SCANS = Table(
     ),
     order="increasing",
 )
-CLOUDS = Table(
+CLOUDS = RecordTable(
     "clouds",
     (
         ArrayField("time_s", ("N",)),
-        ArrayField("first", ("N + 1",), is_whole=True, words="row of each scan's first point, and the end"),
+        ArrayField(
+            "first", ("N + 1",), is_whole=True, words="row of each scan's first point, and the end"
+        ),
         ArrayField("point_m", ("P", 3), has_gaps=True),
         ArrayField("point_s", ("P",), words="seconds after the scan's time"),
     ),
@@ -484,7 +482,7 @@ CLOUDS = Table(
 
 
 @dataclass(frozen=True)
-class StreamOfLog:
+class LogStream:
     """A stream of a log.
 
     Attributes:
@@ -498,7 +496,7 @@ class StreamOfLog:
 
     field: str
     file: str
-    tables: Mapping[str, Table]
+    tables: Mapping[str, RecordTable]
     option: str = ""
     help: str = ""
     _: KW_ONLY
@@ -517,7 +515,7 @@ class StreamOfLog:
 
 
 STREAMS = (
-    StreamOfLog(
+    LogStream(
         "odometry",
         "odometry.csv",
         {"steering": STEERED, "velocity": VELOCITY, "relative-poses": RELATIVE},
@@ -525,7 +523,7 @@ STREAMS = (
         "Speeds, or poses.",
         is_required=True,
     ),
-    StreamOfLog(
+    LogStream(
         "measurements",
         "measurements.csv",
         {"": MEASUREMENTS},
@@ -534,41 +532,37 @@ STREAMS = (
         is_required=True,
         words="one scan shares one time",
     ),
-    StreamOfLog(
+    LogStream(
         "positions",
         "positions.csv",
         {"": POSITIONS},
         "--positions",
         "GPS, in the frame of the start pose.",
     ),
-    StreamOfLog(
+    LogStream(
         "loop_closures",
         "closures.csv",
         {"": CLOSURES},
         words="measured motions between poses that do not follow each other, as of relative poses, "
         "whose times these are",
     ),
-    StreamOfLog("known_landmarks", "known_landmarks.csv", {"": LANDMARKS}),
-    StreamOfLog(
+    LogStream("known_landmarks", "known_landmarks.csv", {"": LANDMARKS}),
+    LogStream(
         "known_measurements",
         "known_measurements.csv",
         {"": MEASUREMENTS},
         words="ids from `known_landmarks.csv`",
     ),
-    StreamOfLog("scans", "scans.npz", {"": SCANS}),
-    StreamOfLog("clouds", "clouds.npz", {"": CLOUDS}),
-    StreamOfLog(
-        "truth.poses", "truth_poses.csv", {"": POSES}, "--truth", "True poses, CSV or TUM."
-    ),
-    StreamOfLog(
+    LogStream("scans", "scans.npz", {"": SCANS}),
+    LogStream("clouds", "clouds.npz", {"": CLOUDS}),
+    LogStream("truth.poses", "truth_poses.csv", {"": POSES}, "--truth", "True poses, CSV or TUM."),
+    LogStream(
         "truth.landmarks",
         "truth_landmarks.csv",
         {"": LANDMARKS},
         "--truth-landmarks",
         "True landmarks: id, x, y.",
     ),
-    StreamOfLog(
-        "truth.surfaces", "truth_surfaces.csv", {"": SURFACES}, words="one segment per line"
-    ),
+    LogStream("truth.surfaces", "truth_surfaces.csv", {"": SURFACES}, words="one segment per line"),
 )
 """In the order of `Log`'s fields."""

@@ -2,52 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, ClassVar, Self, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.arrays import Array, Index, Mask
+from comparisons.arrays import Array, Mask
 from comparisons.errors import RecordError
-from comparisons.logs.schema import ANY, SIGMA, ArrayField, Limits, Table
+from comparisons.logs.schema import ANY, SIGMA, ArrayField, Limits, RecordTable
 
 LARGEST = 1e10
 """Beyond this no time, length, speed or angle of a drive lies; squares of it stay finite."""
 LARGEST_ID = 2**53
 """Beyond this whole numbers are not exact as floating point."""
-
-
-class Record:
-    """A record of a log, whose arrays a table of the schema declares.
-
-    Attributes:
-        table: The table.
-        kinds: Every class of records by its table's name.
-    """
-
-    table: ClassVar[Table]
-    kinds: ClassVar[dict[str, type[Record]]] = {}
-
-    def __init_subclass__(cls) -> None:
-        """List the class if it has a table."""
-        super().__init_subclass__()
-        if "table" in vars(cls):
-            Record.kinds[cls.table.name] = cls
-
-    def __post_init__(self) -> None:
-        """Check the arrays. Raises RecordError."""
-        check(self)
-
-
-class Stream(Record):
-    """Records in the order of time, columns of which are arrays of one length."""
-
-    def chosen(self, rows: Mask | Index) -> Self:
-        """The same with some of its rows; what is one for all of them stays."""
-        names = [part.name for part in self.table.fields if part.shape[0] == "N"]
-        columns = {name: getattr(self, name)[rows] for name in names}
-        return cast(Self, replace(cast(Any, self), **columns))
 
 
 def frozen(value: object) -> Array:
@@ -57,15 +24,14 @@ def frozen(value: object) -> Array:
     return array
 
 
-def check(record: Record) -> None:
+def check(record: object, table: RecordTable) -> None:
     """Freeze a record's arrays, and check them as its table declares.
 
     Raises:
         RecordError: Of the first fault: a shape, a number that is not finite or beyond `LARGEST`,
             times that fall, a value outside its limits, a covariance, an id that comes twice.
     """
-    table = record.table
-    arrays = [_array(record, part) for part in table.fields]
+    arrays = [_array(record, table.name, part) for part in table.fields]
     lengths: dict[int | str, int] = {"N": len(arrays[0])}
     for place, part in enumerate(table.fields):
         if not len(arrays[place]) and part.is_optional:
@@ -83,11 +49,11 @@ def check(record: Record) -> None:
         _check_values(table.name, part, array)
 
 
-def _array(record: Record, part: ArrayField) -> NDArray[Any]:
+def _array(record: object, stream: str, part: ArrayField) -> NDArray[Any]:
     value = getattr(record, part.name)
     if not part.is_whole:
         return frozen(value)
-    array = whole_numbers(record.table.name, part.name, np.array(value))
+    array = whole_numbers(stream, part.name, np.array(value))
     array.flags.writeable = False
     return array
 
