@@ -350,8 +350,13 @@ class Log(Shown):
         """
         from comparisons.logs.from_arrays import log_from_arrays
 
-        given = odometry, measurements, positions, truth, truth_landmarks
-        return log_from_arrays(*given, prior, name)
+        streams = {
+            "measurements": measurements,
+            "positions": positions,
+            "truth": truth,
+            "truth_landmarks": truth_landmarks,
+        }
+        return log_from_arrays(odometry, streams, prior, name)
 
     def __repr__(self) -> str:
         """Return name, counts and duration in one line."""

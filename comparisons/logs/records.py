@@ -50,7 +50,7 @@ def record_of(table: RecordTable, columns: Mapping[str, Any], **settings: Any) -
 
     Args:
         table: Declares the record's class, its arrays, and the columns of each.
-        columns: All of the table; those that a record may leave empty need not be there.
+        columns: All of the table, but those that a record may leave empty; or a whole array of it.
         settings: What the record holds beside arrays.
 
     Raises:
@@ -59,12 +59,12 @@ def record_of(table: RecordTable, columns: Mapping[str, Any], **settings: Any) -
     arrays: dict[str, Any] = {}
     for part in table.fields:
         parts = [columns[column.name] for column in part.columns if column.name in columns]
-        if part.is_covariance:
+        if part.name in columns:
+            arrays[part.name] = columns[part.name]
+        elif part.is_covariance:
             arrays[part.name] = symmetric(np.column_stack(parts))
         elif len(part.shape) > 1:
             arrays[part.name] = np.column_stack(parts)
-        elif parts:
-            arrays[part.name] = parts[0]
     return LogRecord.kinds[table.name](**arrays, **settings)
 
 

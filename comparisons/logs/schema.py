@@ -10,7 +10,7 @@ that table and a field of `Log`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from math import inf, nextafter, pi
@@ -69,7 +69,7 @@ class Stated(NamedTuple):
     is_positive: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Column:
     """One value a row: of a log folder's file, of a user's CSV, of a message, or of an array.
 
@@ -107,6 +107,11 @@ class Column:
     degrees_above: float = inf
     stated: Stated | None = None
     words: str = ""
+
+    @property
+    def weight(self) -> tuple[bool, bool, bool]:
+        """Sorts first what a file must have, then what nothing else tells."""
+        return self.has_gaps, self.stated is not None, self.is_optional
 
     @property
     def unit(self) -> str:
@@ -236,9 +241,9 @@ INTENSITY = Column(
     is_bounded=False,
     words="in the sensor's own unit",
 )
-VAR_X = Column("var_x_m2", ("var_x",), fields=(("position_0",), ("pose_0",)))
-COV_XY = Column("cov_xy_m2", ("cov_xy",), fields=(("position_1",), ("pose_1",)))
-VAR_Y = Column("var_y_m2", ("var_y",), fields=(("position_4",), ("pose_7",)))
+_VAR_X = Column("var_x_m2", ("var_x",), fields=(("position_0",), ("pose_0",)), is_optional=True)
+_COV_XY = Column("cov_xy_m2", ("cov_xy",), fields=(("position_1",), ("pose_1",)), is_optional=True)
+_VAR_Y = Column("var_y_m2", ("var_y",), fields=(("position_4",), ("pose_7",)), is_optional=True)
 SIGMA_POSITION = Column(
     "sigma_m",
     ("sigma",),
@@ -246,10 +251,10 @@ SIGMA_POSITION = Column(
     limits=SIGMA,
     stated=Stated("--sigma-position", "M", "Sigma of positions, if no column has it.", of=("x_m",)),
 )
-LATITUDE = Column("latitude", ("latitude", "lat"), fields=(("latitude",),))
-LONGITUDE = Column("longitude", ("longitude", "lon", "lng"), fields=(("longitude",),))
-ALTITUDE = Column("altitude", ("altitude", "alt"), fields=(("altitude",),))
-TWIST = tuple(
+_LATITUDE = Column("latitude", ("latitude", "lat"), fields=(("latitude",),))
+_LONGITUDE = Column("longitude", ("longitude", "lon", "lng"), fields=(("longitude",),))
+_ALTITUDE = Column("altitude", ("altitude", "alt"), fields=(("altitude",),))
+_TWIST = tuple(
     Column(name, (name,), fields=((entry,),), is_optional=True)
     for name, entry in (
         ("var_forward", "twist_0"),
@@ -261,8 +266,8 @@ TWIST = tuple(
 _ENTRIES = (0, 1, 5, 7, 11, 35)
 """x, y and the turn about z of a message's six: the upper triangle among its 36 covariances."""
 _UPPER = [(i, j) for i in range(3) for j in range(i, 3)]
-COVARIANCE = tuple(
-    Column(f"cov_{i}{j}", (f"cov_{i}{j}",), fields=((f"pose_{entry}",),))
+_COVARIANCE = tuple(
+    Column(f"cov_{i}{j}", (f"cov_{i}{j}",), fields=((f"pose_{entry}",),), is_optional=True)
     for (i, j), entry in zip(_UPPER, _ENTRIES, strict=True)
 )
 """Of x, y and heading, or of a motion: the upper triangle by rows."""
@@ -295,19 +300,8 @@ WHEELBASE = Column(
     stated=Stated("--wheelbase", "M", "Wheelbase, for steering angles.", ("wheelbase_m",)),
 )
 
-COLUMNS: dict[str, Column] = {
-    column.name: column
-    for column in (
-        TIME, SPEED, YAW_RATE, STEERING, X, Y, HEADING, DX, DY, DHEADING, RANGE, BEARING,
-        SIGMA_RANGE, SIGMA_BEARING, LANDMARK, ID, DIAMETER, INTENSITY, VAR_X, COV_XY, VAR_Y,
-        SIGMA_POSITION, LATITUDE, LONGITUDE, ALTITUDE, *TWIST, *COVARIANCE, SIGMA_SPEED,
-        SIGMA_TURN, SIGMA_MOVE, WHEELBASE,
-    )
-}  # fmt: skip
-"""All that a user may give, by name."""
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArrayField:
     """An array of a record.
 
@@ -364,7 +358,7 @@ def _matrix(*columns: Column, has_gaps: bool = False, is_singular: bool = False)
     return ArrayField("covariance", shape, columns, has_gaps=has_gaps, is_singular=is_singular)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordTable:
     """The arrays of a record.
 
@@ -372,14 +366,14 @@ class RecordTable:
         name: Of the records, in errors.
         fields: In the order of the columns; each has a row for each of the first's.
         order: How times follow each other: they increase, or do not fall; empty for neither.
-        stated: Columns of arrays that say one number for all rows.
+        others: Columns that files and arrays of users may have besides, or in place of some.
     """
 
     name: str
     fields: tuple[ArrayField, ...]
     _: KW_ONLY
     order: Literal["increasing", "not falling", ""] = ""
-    stated: tuple[Column, ...] = ()
+    others: tuple[Column, ...] = ()
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
@@ -390,6 +384,21 @@ class RecordTable:
     def names(self) -> tuple[str, ...]:
         """Of the columns."""
         return tuple(column.name for column in self.columns)
+
+    @cached_property
+    def needed(self) -> tuple[str, ...]:
+        """Names of the columns that no file may lack."""
+        return tuple(column.name for column in self.columns if not column.is_optional)
+
+    @cached_property
+    def values(self) -> tuple[str, ...]:
+        """Those of them that are no times."""
+        return tuple(name for name in self.needed if name not in self.times)
+
+    @cached_property
+    def read_from_files(self) -> tuple[Column, ...]:
+        """Those that files of users may have, under one of their names."""
+        return tuple(column for column in (*self.columns, *self.others) if column.names)
 
     @cached_property
     def gaps(self) -> tuple[str, ...]:
@@ -406,25 +415,36 @@ class RecordTable:
 
 _POSE = (X, Y, HEADING)
 _MOTION = (DX, DY, DHEADING)
-_MAP_COVARIANCE = (VAR_X, COV_XY, VAR_Y)
+_VARIANCES = (_VAR_X, _COV_XY, _VAR_Y)
 VELOCITY = RecordTable(
     "velocity odometry",
     (_single(TIME), _single(SPEED), _single(YAW_RATE)),
     order="not falling",
-    stated=(SIGMA_SPEED, SIGMA_TURN),
+    others=(SIGMA_SPEED, SIGMA_TURN),
 )
 STEERED = RecordTable(
     "steering odometry",
     (_single(TIME), _single(SPEED), _single(STEERING)),
     order="not falling",
-    stated=(SIGMA_SPEED, SIGMA_TURN, WHEELBASE),
+    others=(SIGMA_SPEED, SIGMA_TURN, WHEELBASE),
 )
 RELATIVE = RecordTable(
     "relative poses",
-    (_single(TIME), _group("displacement", *_MOTION), _matrix(*COVARIANCE, has_gaps=True)),
+    (_single(TIME), _group("displacement", *_MOTION), _matrix(*_COVARIANCE, has_gaps=True)),
     order="increasing",
-    stated=(SIGMA_MOVE, SIGMA_TURN),
+    others=(SIGMA_MOVE, SIGMA_TURN),
 )
+RECKONED = RecordTable(
+    "poses",
+    (_single(TIME), _group("pose", *_POSE), _matrix(*_COVARIANCE)),
+    order="increasing",
+    others=(SIGMA_MOVE, SIGMA_TURN, *_TWIST),
+)
+"""Of users alone: the poses of an odometry."""
+KINDS = {
+    "velocity": VELOCITY, "steering": STEERED, "poses": RECKONED, "relative-poses": RELATIVE
+}  # fmt: skip
+"""Kinds of odometry that a user may have."""
 POSES = RecordTable("poses", (_single(TIME), _group("pose", *_POSE)), order="increasing")
 CLOSURES = RecordTable(
     "loop closures",
@@ -432,7 +452,7 @@ CLOSURES = RecordTable(
         _single(Column("from_s")),
         _single(Column("to_s")),
         _group("displacement", *_MOTION),
-        _matrix(*COVARIANCE),
+        _matrix(*_COVARIANCE),
     ),
 )
 MEASUREMENTS = RecordTable(
@@ -447,12 +467,13 @@ MEASUREMENTS = RecordTable(
 )
 POSITIONS = RecordTable(
     "positions",
-    (_single(TIME), _group("position_m", X, Y), _matrix(*_MAP_COVARIANCE)),
+    (_single(TIME), _group("position_m", X, Y), _matrix(*_VARIANCES)),
     order="increasing",
+    others=(SIGMA_POSITION, _LATITUDE, _LONGITUDE, _ALTITUDE),
 )
 LANDMARKS = RecordTable(
     "landmarks",
-    (_single(ID), _group("position_m", X, Y), _matrix(*_MAP_COVARIANCE, is_singular=True)),
+    (_single(ID), _group("position_m", X, Y), _matrix(*_VARIANCES, is_singular=True)),
 )
 SURFACES = RecordTable(
     "surfaces", (_group("segment", *map(Column, ("x1_m", "y1_m", "x2_m", "y2_m"))),)
@@ -481,7 +502,7 @@ CLOUDS = RecordTable(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LogStream:
     """A stream of a log.
 
@@ -504,9 +525,37 @@ class LogStream:
     words: str = ""
 
     @property
-    def name(self) -> str:
-        """In texts."""
-        return self.field.replace(".", " ").replace("_", " ")
+    def user_tables(self) -> tuple[RecordTable, ...]:
+        """What files of users may hold."""
+        return tuple(KINDS.values()) if self.field == "odometry" else tuple(self.tables.values())
+
+    @property
+    def is_truth(self) -> bool:
+        """Whether it is of the truth, which is exact."""
+        return self.field.startswith("truth.")
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Names of the columns that are read of files of users, in the order of their weight."""
+        columns = [column for table in self.user_tables for column in table.read_from_files]
+        if self.is_truth:
+            columns = [column for column in columns if not column.is_optional]
+        return tuple(dict.fromkeys(c.name for c in sorted(columns, key=lambda c: c.weight)))
+
+    @property
+    def argument(self) -> str:
+        """Of `Log.from_arrays`; empty where it has none."""
+        return self.option.removeprefix("--").replace("-", "_")
+
+    @property
+    def spoken(self) -> str:
+        """What users call it."""
+        return self.argument.replace("_", " ") or self.field.replace("_", " ").replace(".", " ")
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its rows are of instants at which an estimator needs a pose."""
+        return not self.is_truth and "time_s" in next(iter(self.tables.values())).needed
 
     @property
     def is_archived(self) -> bool:
@@ -566,3 +615,25 @@ STREAMS = (
     LogStream("truth.surfaces", "truth_surfaces.csv", {"": SURFACES}, words="one segment per line"),
 )
 """In the order of `Log`'s fields."""
+
+
+def _known_columns() -> Iterator[Column]:
+    """What a user may give a column of, each once for each table."""
+    for stream in STREAMS:
+        if stream.option:
+            for table in stream.user_tables:
+                yield from (*table.columns, *table.others)
+
+
+COLUMNS: dict[str, Column] = {
+    column.name: column for column in sorted(_known_columns(), key=lambda column: column.weight)
+}
+"""All that a user may give, by name."""
+COVARIANCE, TWIST, VARIANCES = (
+    tuple(column.name for column in columns) for columns in (_COVARIANCE, _TWIST, _VARIANCES)
+)
+"""Names of the columns of covariances of poses, of variances of speeds, and of positions."""
+OPTIONS = {
+    column.name: column.stated.option for column in COLUMNS.values() if column.stated is not None
+}
+"""The option that states a column's number for all rows."""
