@@ -267,7 +267,13 @@ _ENTRIES = (0, 1, 5, 7, 11, 35)
 """x, y and the turn about z of a message's six: the upper triangle among its 36 covariances."""
 _UPPER = [(i, j) for i in range(3) for j in range(i, 3)]
 _COVARIANCE = tuple(
-    Column(f"cov_{i}{j}", (f"cov_{i}{j}",), fields=((f"pose_{entry}",),), is_optional=True)
+    Column(
+        f"cov_{i}{j}",
+        (f"cov_{i}{j}",),
+        fields=((f"pose_{entry}",),),
+        is_optional=True,
+        words="of x, y [m] and heading [rad], the upper triangle by rows",
+    )
     for (i, j), entry in zip(_UPPER, _ENTRIES, strict=True)
 )
 """Of x, y and heading, or of a motion: the upper triangle by rows."""
@@ -367,6 +373,7 @@ class RecordTable:
         fields: In the order of the columns; each has a row for each of the first's.
         order: How times follow each other: they increase, or do not fall; empty for neither.
         others: Columns that files and arrays of users may have besides, or in place of some.
+        words: On its rows.
     """
 
     name: str
@@ -374,6 +381,7 @@ class RecordTable:
     _: KW_ONLY
     order: Literal["increasing", "not falling", ""] = ""
     others: tuple[Column, ...] = ()
+    words: str = ""
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
@@ -421,18 +429,22 @@ VELOCITY = RecordTable(
     (_single(TIME), _single(SPEED), _single(YAW_RATE)),
     order="not falling",
     others=(SIGMA_SPEED, SIGMA_TURN),
+    words="a sample holds until the next",
 )
 STEERED = RecordTable(
     "steering odometry",
     (_single(TIME), _single(SPEED), _single(STEERING)),
     order="not falling",
     others=(SIGMA_SPEED, SIGMA_TURN, WHEELBASE),
+    words="a sample holds until the next",
 )
 RELATIVE = RecordTable(
     "relative poses",
     (_single(TIME), _group("displacement", *_MOTION), _matrix(*_COVARIANCE, has_gaps=True)),
     order="increasing",
     others=(SIGMA_MOVE, SIGMA_TURN),
+    words="the displacement in the departing frame, its covariance in the arriving one (as g2o and "
+    "gtsam), the first departing from the prior",
 )
 RECKONED = RecordTable(
     "poses",
@@ -512,7 +524,7 @@ class LogStream:
         tables: Of its records, by kind; of one kind by no name.
         option: Of `slamcheck new-log` for a user's file, with its help; empty where it reads none.
         is_required: Whether a log folder must have it.
-        words: On its rows.
+        words: On its rows, besides those of the table.
     """
 
     field: str
