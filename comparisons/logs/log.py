@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -428,17 +429,12 @@ class Log(Shown):
     @property
     def records(self) -> dict[str, int]:
         """Number of records in each stream that is present, without those that hold a guess."""
-        streams = {
-            "odometry": self.odometry,
-            "measurements": self.measurements,
-            "positions": self.positions,
-            "loop closures": self.loop_closures,
-            "known measurements": self.known_measurements,
-            "scans": self.scans,
-            "clouds": self.clouds,
-            "truth poses": self.truth.poses,
+        streams = ((stream.name, attrgetter(stream.field)(self)) for stream in schema.STREAMS)
+        counts = {
+            name: len(record.time_s)
+            for name, record in streams
+            if record is not None and record.table.times
         }
-        counts = {name: len(s.time_s) for name, s in streams.items() if s is not None}
         if isinstance(self.odometry, RelativePoses):
             counts["odometry"] -= int(np.isnan(self.odometry.covariance[:, 0, 0]).sum())
         return counts

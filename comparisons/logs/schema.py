@@ -417,8 +417,9 @@ class RecordTable:
 
     @cached_property
     def times(self) -> tuple[str, ...]:
-        """Names of the columns that are clock times."""
-        return tuple(name for name in self.names if name in ("time_s", "from_s", "to_s"))
+        """Names of the arrays that are clock times, and of their columns."""
+        names = (part.name for part in self.fields)
+        return tuple(name for name in names if name in ("time_s", "from_s", "to_s"))
 
 
 _POSE = (X, Y, HEADING)
@@ -555,6 +556,11 @@ class LogStream:
         return tuple(dict.fromkeys(c.name for c in sorted(columns, key=lambda c: c.weight)))
 
     @property
+    def name(self) -> str:
+        """In counts of records."""
+        return self.field.replace("_", " ").replace(".", " ")
+
+    @property
     def argument(self) -> str:
         """Of `Log.from_arrays`; empty where it has none."""
         return self.option.removeprefix("--").replace("-", "_")
@@ -562,7 +568,7 @@ class LogStream:
     @property
     def spoken(self) -> str:
         """What users call it."""
-        return self.argument.replace("_", " ") or self.field.replace("_", " ").replace(".", " ")
+        return self.argument.replace("_", " ") or self.name
 
     @property
     def is_timed(self) -> bool:
