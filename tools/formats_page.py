@@ -10,12 +10,19 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
-from comparisons.logs.schema import ANY, STREAMS, ArrayField, Column, LogStream, RecordTable
+from comparisons.logs.schema import (
+    ANY,
+    STREAMS,
+    ArrayField,
+    Column,
+    LogStream,
+    RecordTable,
+    spelt_unit,
+)
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "formats.md"
 _FILES = re.compile(r"\| file \| columns \|\n.*?\n\n", re.DOTALL)
 _COLUMNS = re.compile(r"\| column \| unit \| values .*?\n\n", re.DOTALL)
-_SPELT = {"mps": "m/s", "radps": "rad/s", "m2": "m^2"}
 
 
 def written(page: str) -> str:
@@ -58,14 +65,10 @@ def _columns() -> Iterator[tuple[str, ...]]:
     """Columns in the order in which files have them; those in a row that are alike together."""
     tables = [table for stream in STREAMS for table in stream.tables.values()]
     columns = {column.name: column for table in tables for column in table.columns}
-    for (unit, values), alike in groupby(columns.values(), lambda one: (_unit(one), _values(one))):
+    for (unit, values), alike in groupby(columns.values(), lambda one: (one.unit, _values(one))):
         group = list(alike)
         names = ", ".join(f"`{column.name}`" for column in group)
-        yield names, unit, values, "; ".join(filter(None, map(_names, group)))
-
-
-def _unit(column: Column) -> str:
-    return _SPELT.get(column.unit, column.unit)
+        yield names, spelt_unit(unit), values, "; ".join(filter(None, map(_names, group)))
 
 
 def _values(column: Column) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
-from comparisons.arrays import Index, Mask, symmetric, upper_triangles
+from comparisons.arrays import Array, Index, Mask, symmetric, upper_triangles
 from comparisons.logs.schema import RecordTable
 from comparisons.logs.validation import check
 
@@ -66,6 +66,30 @@ def record_of(table: RecordTable, columns: Mapping[str, Any], **settings: Any) -
         elif len(part.shape) > 1:
             arrays[part.name] = np.column_stack(parts)
     return LogRecord.kinds[table.name](**arrays, **settings)
+
+
+def values_in(record: LogRecord, names: Sequence[str]) -> Array:
+    """Return the values of some of a record's columns, (N,) of one and (N, m) of several."""
+    values = []
+    for name in names:
+        part, place = record.table.places[name]
+        array = getattr(record, part.name)
+        values.append(array if array.ndim == 1 else array[:, place])
+    return values[0] if len(names) == 1 else np.column_stack(values)
+
+
+def with_values(record: Any, names: Sequence[str], values: Array) -> Any:
+    """Return a record with other values in some of its columns, as `values_in` gives them."""
+    changed: dict[str, Array] = {}
+    for k, name in enumerate(names):
+        part, place = record.table.places[name]
+        column = values if len(names) == 1 else values[:, k]
+        if len(part.shape) == 1:
+            changed[part.name] = column
+        else:
+            array = changed.setdefault(part.name, getattr(record, part.name).copy())
+            array[:, place] = column
+    return replace(record, **changed)
 
 
 def columns_of(record: LogRecord) -> dict[str, list[Any]]:

@@ -28,6 +28,7 @@ UNITS: dict[str, dict[str, float]] = {
     "m2": {"m2": 1.0},
 }  # fmt: skip
 """By dimension, the units that a header may name, in SI; the first is the default."""
+_SPELT = {"mps": "m/s", "radps": "rad/s", "m2": "m^2"}
 LEAST_SIGMA, LARGEST_SIGMA = 1e-7, 1e6
 """Of a measurement, in whatever unit: others are mistakes."""
 NO_LANDMARK = -1
@@ -117,6 +118,11 @@ class Column:
     def unit(self) -> str:
         """Its dimension, of `UNITS`; empty for none."""
         return dimension(self.name)
+
+
+def spelt_unit(unit: str) -> str:
+    """Return a dimension of `UNITS` as texts spell it."""
+    return _SPELT.get(unit, unit)
 
 
 def dimension(name: str) -> str:
@@ -407,6 +413,20 @@ class RecordTable:
     def read_from_files(self) -> tuple[Column, ...]:
         """Those that files of users may have, under one of their names."""
         return tuple(column for column in (*self.columns, *self.others) if column.names)
+
+    @cached_property
+    def measured(self) -> tuple[str, ...]:
+        """Those of the values that the sensor gives, without their sigmas."""
+        return tuple(name for name in self.values if COLUMNS[name].stated is None)
+
+    @cached_property
+    def places(self) -> dict[str, tuple[ArrayField, int]]:
+        """Where each column stands: in which array, and in which column of that."""
+        return {
+            column.name: (part, place)
+            for part in self.fields
+            for place, column in enumerate(part.columns)
+        }
 
     @cached_property
     def gaps(self) -> tuple[str, ...]:
