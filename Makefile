@@ -83,6 +83,7 @@ types: $(VENV)/installed-dev
 settings: $(VENV)/installed
 	$(BIN)/python -m tools.settings_page > docs/settings.md
 	$(BIN)/python -m tools.verdicts_page
+	$(BIN)/python -m tools.formats_page
 	$(BIN)/python -m tools.options_table > table.py~ && mv table.py~ comparisons/options/table.py
 	$(BIN)/python -m tools.options_types > typed.py~ && mv typed.py~ slamcheck/_options.py
 

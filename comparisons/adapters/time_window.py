@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
 from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
-from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Poses, Positions, Prior
+from comparisons.logs.log import Log, LoopClosures, Poses, Prior
 from comparisons.logs.odometry import Odometry, RelativePoses
-from comparisons.logs.scans import Clouds, Scans
+from comparisons.logs.scans import Clouds
+from comparisons.logs.schema import STREAMS
 from graphslam.scan.planar import compose, rotation
-
-S = TypeVar("S", LandmarkMeasurements, Positions, Scans)
 
 
 def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) -> Log:
@@ -47,17 +46,11 @@ def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) 
 
 def _part(log: Log, first_s: float, last_s: float, *, cut_s: float) -> Log:
     """The records from cut_s to last_s, with a prior at first_s."""
+    streams = [stream for stream in STREAMS if not stream.is_truth]
     return replace(
         log,
         prior=_prior(log, first_s),
-        odometry=_odometry(log.odometry, cut_s, last_s),
-        measurements=_chosen(log.measurements, cut_s, last_s),
-        positions=log.positions and _chosen(log.positions, cut_s, last_s),
-        known_measurements=log.known_measurements
-        and _chosen(log.known_measurements, cut_s, last_s),
-        loop_closures=log.loop_closures and _loop_closures(log.loop_closures, cut_s, last_s),
-        scans=log.scans and _chosen(log.scans, cut_s, last_s),
-        clouds=log.clouds and _clouds(log.clouds, cut_s, last_s),
+        **{stream.field: _cut(getattr(log, stream.field), cut_s, last_s) for stream in streams},
         truth=replace(log.truth, poses=log.truth.poses and _around(log.truth.poses, cut_s, last_s)),
         provenance={
             **log.provenance,
@@ -94,8 +87,17 @@ def _odometry(odometry: Odometry, first_s: float, last_s: float) -> Odometry:
     return replace(kept, time_s=np.maximum(kept.time_s, first_s))
 
 
-def _chosen(stream: S, first_s: float, last_s: float) -> S:
-    return stream.chosen((stream.time_s >= first_s) & (stream.time_s < last_s))
+def _cut(record: Any, first_s: float, last_s: float) -> Any:
+    """A stream's records; all of one without times."""
+    if record is None or not record.table.times:
+        return record
+    if isinstance(record, Odometry):
+        return _odometry(record, first_s, last_s)
+    if isinstance(record, LoopClosures):
+        return _loop_closures(record, first_s, last_s)
+    if isinstance(record, Clouds):
+        return _clouds(record, first_s, last_s)
+    return record.chosen((record.time_s >= first_s) & (record.time_s < last_s))
 
 
 def _loop_closures(

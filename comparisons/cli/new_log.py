@@ -15,6 +15,7 @@ import typer
 from comparisons.cli.flags import argument, parameter, set_parameters
 from comparisons.cli.support import guarded
 from comparisons.errors import InputError, quoted, shorten
+from comparisons.logs.schema import COLUMNS, KINDS, OPTIONS, POSES, STREAMS
 
 if TYPE_CHECKING:
     from comparisons.logs.plain_csv import PlainTable
@@ -22,23 +23,21 @@ if TYPE_CHECKING:
 _Text = str | None
 _File = Path | None
 _OPTIONS: dict[str, tuple[Any, str, str]] = {
-    "odometry": (Path, "FILE", "Speeds, or poses."),
-    "measurements": (Path, "FILE", "Ranges, bearings, labels."),
-    "positions": (_File, "FILE", "GPS, in the frame of the start pose."),
-    "truth": (_File, "FILE", "True poses, CSV or TUM."),
-    "truth_landmarks": (_File, "FILE", "True landmarks: id, x, y."),
-    "sigma_range": (_Text, "M", "Sigma of ranges, if no column has it."),
-    "sigma_bearing": (_Text, "RAD", "Sigma of bearings, if no column has it."),
-    "sigma_speed": (_Text, "M/S", "Sigma of speeds."),
-    "sigma_turn": (_Text, "RAD", "Sigma of turn rates, steering or turns."),
-    "sigma_move": (_Text, "M", "Sigma of moves. [grows with distance]"),
-    "sigma_position": (_Text, "M", "Sigma of positions, if no column has it."),
-    "wheelbase": (_Text, "M", "Wheelbase, for steering angles."),
+    **{
+        stream.argument: (Path if stream.is_required else _File, "FILE", stream.help)
+        for stream in STREAMS
+        if stream.option
+    },
+    **{
+        stated.option.removeprefix("--").replace("-", "_"): (_Text, stated.unit, stated.help)
+        for column in COLUMNS.values()
+        if (stated := column.stated) is not None
+    },
     "prior_pose": (_Text, "X,Y,RAD", "Start pose. [truth, else 0,0,0]"),
     "kind": (
         _Text,
         "KIND",
-        "Odometry: velocity, steering, poses or relative-poses. [by the columns]",
+        f"Odometry: {', '.join(KINDS)}. [by the columns]",
     ),
     "unit": (
         list[str],
@@ -74,7 +73,7 @@ def new_log(folder: Path, **given: Any) -> None:
         from comparisons.atomic import check_replaceable
         from comparisons.checks.diagnosis.log_doctor import examine
         from comparisons.logs.log_folder import read_log_folder, write_log_folder
-        from comparisons.logs.new_log import OPTIONS, UserFiles, build
+        from comparisons.logs.new_log import UserFiles, build
 
         check_replaceable(folder)
         units = _pairs("--unit", given["unit"] or (), "COLUMN=UNIT, as bearing=deg")
@@ -92,8 +91,12 @@ def new_log(folder: Path, **given: Any) -> None:
             prior_pose=_pose(given["prior_pose"]),
             units=units,
             columns=columns,
-            **{name: given[name] for name in ("odometry", "measurements", "positions")},
-            **{name: given[name] for name in ("truth_landmarks", "kind", "imu")},
+            paths={
+                stream.argument: path
+                for stream in STREAMS
+                if stream.option and (path := given[stream.argument]) is not None
+            },
+            **{name: given[name] for name in ("kind", "imu")},
         )
         found = build(files)
         log = with_regular_motion(found.log)
@@ -127,13 +130,12 @@ def _read_truth(
 ) -> PlainTable:
     """Poses of a CSV file with a header, or of a file of numbers alone (TUM), after a start."""
     from comparisons.estimates.trajectory_files import read_trajectory_file
-    from comparisons.logs.from_arrays import KINDS
     from comparisons.logs.new_log import column_options
     from comparisons.logs.plain_csv import PlainTable, read_plain
     from comparisons.logs.stamps import after_ns
     from comparisons.logs.table import read_text
 
-    names = ("time_s", *KINDS["poses"])
+    names = POSES.needed
     lines = [line for line in read_text(path).splitlines() if line.strip() and line[0] != "#"]
     if not lines or not lines[0].split()[0][:1].isdigit():
         options = column_options(units, columns, "truth")

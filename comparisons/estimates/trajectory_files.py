@@ -19,8 +19,8 @@ from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import NEW, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
-from comparisons.logs.from_arrays import COVARIANCE, KINDS
 from comparisons.logs.plain_csv import PlainTable, need, read_plain
+from comparisons.logs.schema import COVARIANCE, POSES
 from comparisons.logs.stamps import Nanoseconds
 from comparisons.logs.table import TextTable, first_record, is_number
 from comparisons.logs.validation import LARGEST, increasing, within
@@ -33,7 +33,7 @@ FORMATS = ("tum", "kitti", "csv")
 TIMES = "times.txt"
 """Stands beside a KITTI file."""
 
-_CSV = ("time_s", *KINDS["poses"])
+_CSV = POSES.needed
 _KITTI = (*("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"), *("r20", "r21", "r22", "z"))
 _EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -192,7 +192,7 @@ def _read_kitti(path: Path, times: Path) -> Trajectory:
 
 
 def _csv_text(trajectory: Trajectory) -> str:
-    columns: tuple[str, ...] = _CSV
+    columns = _CSV
     parts = [trajectory.time_s[:, None], trajectory.pose]
     if trajectory.covariance is not None:
         columns += COVARIANCE

@@ -8,17 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.logs.column_names import usual_name
 from comparisons.logs.log import Log, Positions
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.records import values_in, with_values
+from comparisons.logs.schema import (
+    COLUMNS,
+    MEASUREMENTS,
+    POSITIONS,
+    RELATIVE,
+    STEERED,
+    VELOCITY,
+    spelt_unit,
+)
 
-_SPELT = {"mps": "m/s", "radps": "rad/s"}
+_KEPT: dict[str, Callable[[Array], Array]] = {
+    "range_m": lambda values: np.maximum(values, 1e-3),
+    "bearing_rad": lambda values: np.angle(np.exp(1j * values)),
+}
+"""What keeps the values of a column within its limits."""
 
 
 class LogColumn(NamedTuple):
@@ -28,10 +42,7 @@ class LogColumn(NamedTuple):
         name: As `new-log` calls it.
         stream: What it is of: `odometry`, `measurements` or `positions`.
         the: As a filter's author calls it, `the speed`.
-        unit: Dimension, of `UNITS`; empty where columns of several are read together.
-        entries: Which of the stream's values it holds, of `values_of`.
-        read: From a log.
-        write: Into a log.
+        columns: Of the schema that it holds.
         words: Of the values, as `turn rates`.
         short: Beside another column of the stream, as `yaw_rate`.
         subject: Of a unit, as `yaw_rate is in`.
@@ -41,14 +52,22 @@ class LogColumn(NamedTuple):
     name: str
     stream: str
     the: str
-    unit: str
-    entries: tuple[int, ...]
-    read: Callable[[Log], Array]
-    write: Callable[[Log, Array], Log]
+    columns: tuple[str, ...]
     words: str = ""
     short: str = ""
     subject: str = ""
     step: float = 0.0
+
+    @property
+    def unit(self) -> str:
+        """Dimension, of `UNITS`; empty where its columns have several."""
+        units = {COLUMNS[column].unit for column in self.columns}
+        return units.pop() if len(units) == 1 else ""
+
+    @property
+    def entries(self) -> tuple[int, ...]:
+        """Which of the stream's values it holds, of `values_of`."""
+        return tuple(_ENTRIES[column] for column in self.columns)
 
     @property
     def is_angle(self) -> bool:
@@ -58,11 +77,38 @@ class LogColumn(NamedTuple):
     @property
     def spelt_unit(self) -> str:
         """The unit in words."""
-        return _SPELT.get(self.unit, self.unit)
+        return spelt_unit(self.unit)
+
+    def read(self, log: Log) -> Array:
+        """Return its values."""
+        return values_in(getattr(log, self.stream), self.columns)
+
+    def write(self, log: Log, values: Array) -> Log:
+        """Return the log with these values, kept within their limits."""
+        if len(self.columns) == 1:
+            values = _kept(self.columns[0], values)
+        else:
+            columns = zip(self.columns, values.T, strict=True)
+            values = np.column_stack([_kept(name, column) for name, column in columns])
+        record = with_values(getattr(log, self.stream), self.columns, values)
+        changed: dict[str, Any] = {self.stream: record}
+        return replace(log, **changed)
 
     def changed(self, log: Log, change: Callable[[Array], Array]) -> Log:
         """Return the log with other values."""
         return self.write(log, change(self.read(log)))
+
+
+def _kept(column: str, values: Array) -> Array:
+    keep = _KEPT.get(column)
+    return values if keep is None else keep(values)
+
+
+_ENTRIES = {
+    column: place
+    for table in (VELOCITY, STEERED, RELATIVE, MEASUREMENTS, POSITIONS)
+    for place, column in enumerate(table.measured)
+}
 
 
 def columns_of(log: Log) -> list[LogColumn]:
@@ -83,13 +129,8 @@ def pair_words(first: LogColumn, second: LogColumn) -> str:
 
 def values_of(log: Log, stream: str) -> Array:
     """Return the values (N, m) of a stream: the controls, range and bearing, or east and north."""
-    if stream == "odometry":
-        if isinstance(log.odometry, RelativePoses):
-            return log.odometry.displacement
-        return np.column_stack(log.odometry.controls)
-    if stream == "measurements":
-        return np.column_stack((log.measurements.range_m, log.measurements.bearing_rad))
-    return positions_of(log).position_m
+    record = positions_of(log) if stream == "positions" else getattr(log, stream)
+    return values_in(record, record.table.measured)
 
 
 def read_columns(log: Log, stream: str) -> list[LogColumn]:
@@ -110,103 +151,58 @@ def read_measurements() -> list[LogColumn]:
 
 
 def _with_all(columns: list[LogColumn], the: str) -> list[LogColumn]:
-    singles, stream = [column for column in columns if len(column.entries) == 1], columns[0].stream
-
-    def write(log: Log, values: Array) -> Log:
-        for column in singles:
-            log = column.write(log, values[:, column.entries[0]])
-        return log
-
-    entries = tuple(range(len(singles)))
-    whole = LogColumn("all", stream, the, "", entries, partial(values_of, stream=stream), write)
-    return [whole, *columns]
+    singles = tuple(column.columns[0] for column in columns if len(column.columns) == 1)
+    return [LogColumn("all", columns[0].stream, the, singles), *columns]
 
 
 def measured_columns() -> list[LogColumn]:
     """Return range and bearing."""
-
-    def ranges(log: Log, values: Array) -> Log:
-        measurements = replace(log.measurements, range_m=np.maximum(values, 1e-3))
-        return replace(log, measurements=measurements)
-
-    def bearings(log: Log, values: Array) -> Log:
-        wrapped = np.angle(np.exp(1j * values))
-        return replace(log, measurements=replace(log.measurements, bearing_rad=wrapped))
-
     return [
-        LogColumn("range", "measurements", "the range", "m", (0,),
-                  lambda log: log.measurements.range_m, ranges,
+        LogColumn("range", "measurements", "the range", ("range_m",),
                   "ranges", "ranges", "ranges are", 0.01),
-        LogColumn("bearing", "measurements", "the bearing", "rad", (1,),
-                  lambda log: log.measurements.bearing_rad, bearings,
+        LogColumn("bearing", "measurements", "the bearing", ("bearing_rad",),
                   "bearings", "bearings", "bearings are", 1e-3),
     ]  # fmt: skip
 
 
 def odometry_columns(log: Log) -> list[LogColumn]:
     """Return speed and turn, or x, y and turn of the motions between poses."""
-
-    def of_field(name: str) -> tuple[Callable[[Log], Array], Callable[[Log, Array], Log]]:
-        def write(log: Log, values: Array) -> Log:
-            changed: dict[str, Any] = {name: values}
-            return replace(log, odometry=replace(log.odometry, **changed))
-
-        return lambda log: getattr(log.odometry, name), write
-
-    def of_moves(*k: int) -> tuple[Callable[[Log], Array], Callable[[Log, Array], Log]]:
-        where = k[0] if len(k) == 1 else slice(k[0], k[-1] + 1)
-
-        def write(log: Log, values: Array) -> Log:
-            moves = moves_of(log).copy()
-            moves[:, where] = values
-            return with_moves(log, moves)
-
-        return lambda log: moves_of(log)[:, where], write
-
     if isinstance(log.odometry, RelativePoses):
         of = " of the displacements"
         return [
-            LogColumn("way", "odometry", "the translation of the displacement", "m", (0, 1),
-                      *of_moves(0, 1), "ways between poses", "ways", "ways between poses are",
-                      0.01),
-            LogColumn("x", "odometry", "the forward displacement", "m", (0,), *of_moves(0),
+            LogColumn("way", "odometry", "the translation of the displacement", ("dx_m", "dy_m"),
+                      "ways between poses", "ways", "ways between poses are", 0.01),
+            LogColumn("x", "odometry", "the forward displacement", ("dx_m",),
                       f"x{of}", "x", f"x{of} is in", 1e-3),
-            LogColumn("y", "odometry", "the leftward displacement", "m", (1,), *of_moves(1),
+            LogColumn("y", "odometry", "the leftward displacement", ("dy_m",),
                       f"y{of}", "y", f"y{of} is in", 1e-3),
-            LogColumn("heading", "odometry", "the rotation of the displacement", "rad", (2,),
-                      *of_moves(2), "turns between poses", "heading", "heading is in", 1e-3),
+            LogColumn("heading", "odometry", "the rotation of the displacement",
+                      ("dheading_rad",), "turns between poses", "heading", "heading is in", 1e-3),
         ]  # fmt: skip
-    name, the, words, unit = "yaw_rate", "the yaw rate", "turn rates", "radps"
-    if isinstance(log.odometry, SteeringOdometry):
-        name, the, words, unit = "steering", "the steering angle", "steering angles", "rad"
+    speed, turn = log.odometry.table.measured
+    name, (the, words) = usual_name(turn), _TURNS[turn]
     return [
-        LogColumn("speed", "odometry", "the speed", "mps", (0,), *of_field("speed_mps"),
+        LogColumn("speed", "odometry", "the speed", (speed,),
                   "speeds", "speed", "speeds are", 0.01),
-        LogColumn(name, "odometry", the, unit, (1,), *of_field(f"{name}_{unit}"),
-                  words, name, f"{name} is in", 1e-3),
+        LogColumn(name, "odometry", the, (turn,), words, name, f"{name} is in", 1e-3),
     ]  # fmt: skip
+
+
+_TURNS = {
+    "yaw_rate_radps": ("the yaw rate", "turn rates"),
+    "steering_rad": ("the steering angle", "steering angles"),
+}
 
 
 def position_columns() -> list[LogColumn]:
     """Return east and north of the positions, both and each."""
-
-    def of_axes(*k: int) -> tuple[Callable[[Log], Array], Callable[[Log, Array], Log]]:
-        where = k[0] if len(k) == 1 else slice(k[0], k[-1] + 1)
-
-        def write(log: Log, values: Array) -> Log:
-            place = positions_of(log).position_m.copy()
-            place[:, where] = values
-            return replace(log, positions=replace(positions_of(log), position_m=place))
-
-        return lambda log: positions_of(log).position_m[:, where], write
-
     of = " of the positions"
     return [
-        LogColumn("way", "positions", "the position", "m", (0, 1), *of_axes(0, 1),
+        LogColumn("way", "positions", "the position", ("x_m", "y_m"),
                   "positions", "positions", "positions are", 0.01),
-        LogColumn("east", "positions", "the position's east", "m", (0,), *of_axes(0),
+        LogColumn("east", "positions", "the position's east", ("x_m",),
                   f"east{of}", "east", f"east{of} is in", 0.01),
-        LogColumn("north", "positions", "the position's north", "m", (1,), *of_axes(1),
+        LogColumn("north", "positions", "the position's north", ("y_m",),
                   f"north{of}", "north", f"north{of} is in", 0.01),
     ]  # fmt: skip
 

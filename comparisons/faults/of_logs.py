@@ -29,9 +29,9 @@ from comparisons.faults.columns import (
     with_moves,
 )
 from comparisons.faults.grammar import number_text
-from comparisons.logs.column_names import UNITS
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import Ackermann, RelativePoses, SteeringOdometry
+from comparisons.logs.schema import UNITS
 from comparisons.plane import turned
 from graphslam.increments import dead_reckoned
 from graphslam.sensor_frame import in_words

@@ -26,8 +26,8 @@ from comparisons.logs.odometry import (
     RelativePoses,
     SteeringOdometry,
 )
+from comparisons.logs.schema import LEAST_SIGMA
 from comparisons.logs.transforms.calibration import delayed
-from comparisons.logs.validation import LEAST_SIGMA
 
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _CONTROLS = ("sigma_speed_mps", "sigma_turn")

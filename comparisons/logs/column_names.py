@@ -8,25 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import pi
 from typing import NamedTuple
 
 from comparisons.errors import InputError, shorten
-from comparisons.logs.from_arrays import COVARIANCE, TWIST
+from comparisons.logs.schema import COLUMNS, UNITS, dimension
 
 RENAME = "rename the columns"
-_DEGREE = pi / 180
-UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3},
-    "rad": {"rad": 1.0, "deg": _DEGREE},
-    "mps": {"mps": 1.0, "m/s": 1.0, "kmh": 1 / 3.6, "km/h": 1 / 3.6},
-    "radps": {
-        "radps": 1.0, "rad/s": 1.0, "degps": _DEGREE, "deg/s": _DEGREE, "dps": _DEGREE
-    },
-    "m2": {"m2": 1.0},
-}  # fmt: skip
-"""By dimension, the units that a header may name, in SI; the first is the default."""
 _SPELT = {
     **dict.fromkeys(("second", "seconds", "secs"), "s"),
     **dict.fromkeys(("msec", "msecs", "millis", "millisecond", "milliseconds"), "ms"),
@@ -43,68 +30,6 @@ _SPELT = {
     **dict.fromkeys(("degs-1", "deg/sec", "degs/s", "degrees/s", "degree/s", "°/s"), "deg/s"),
 }
 """Other spellings of units, without blanks, points and ^."""
-NAMES: dict[str, tuple[str, ...]] = {
-    "time_s": ("time", "t", "timestamp", "stamp"),
-    "speed_mps": ("speed", "v", "velocity", "forward_velocity", "linear_velocity"),
-    "yaw_rate_radps": ("yaw_rate", "yawrate", "w", "omega", "angular_velocity"),
-    "steering_rad": ("steering", "steer", "steering_angle"),
-    "x_m": ("x",),
-    "y_m": ("y",),
-    "heading_rad": ("heading", "yaw", "theta"),
-    "dx_m": ("dx",),
-    "dy_m": ("dy",),
-    "dheading_rad": ("dheading", "dyaw", "dtheta"),
-    "range_m": ("range", "distance"),
-    "bearing_rad": ("bearing",),
-    "sigma_range_m": ("sigma_range",),
-    "sigma_bearing_rad": ("sigma_bearing",),
-    "landmark": ("landmark", "id", "label", "landmark_id", "subject_nb"),
-    "id": ("id", "label", "landmark", "landmark_id", "subject_nb"),
-    "diameter_m": ("diameter",),
-    "intensity": ("intensity",),
-    "var_x_m2": ("var_x",),
-    "cov_xy_m2": ("cov_xy",),
-    "var_y_m2": ("var_y",),
-    "sigma_m": ("sigma",),
-    "latitude": ("latitude", "lat"),
-    "longitude": ("longitude", "lon", "lng"),
-    "altitude": ("altitude", "alt"),
-    **{name: (name,) for name in (*TWIST, *COVARIANCE)},
-}
-"""What a header may be called, by column of a log folder."""
-_ALSO: dict[str, tuple[str, ...]] = {
-    "time_s": (
-        "ts", "datetime", "unix_time", "unix_stamp", "stamp_unix", "time_unix", "timestamp_unix",
-    ),
-    "speed_mps": (
-        "vel", "forward_speed", "linear_speed", "lin_vel", "linear_vel", "forward_vel",
-    ),
-    "yaw_rate_radps": (
-        "yaw_vel", "yaw_velocity", "yaw_speed", "heading_rate", "psi_dot", "turn_rate",
-        "rate_of_turn", "angular_speed", "angular_rate", "ang_vel", "angular_vel", "wz", "omega_z",
-        "gyro_z", "gyr_z",
-    ),
-    "steering_rad": ("steer_angle", "steering_wheel_angle", "delta"),
-    "x_m": ("px", "pos_x", "x_pos", "east", "easting"),
-    "y_m": ("py", "pos_y", "y_pos", "north", "northing"),
-    "heading_rad": ("psi", "yaw_angle", "heading_angle", "hdg"),
-    "dx_m": ("delta_x",),
-    "dy_m": ("delta_y",),
-    "dheading_rad": ("dpsi", "delta_heading", "delta_yaw", "delta_theta", "delta_psi"),
-    "range_m": ("dist", "rng", "rho", "r"),
-    "bearing_rad": ("azimuth", "azim", "az", "angle", "bearing_angle", "relative_bearing"),
-    "sigma_range_m": ("range_sigma", "range_std", "std_range", "range_stddev", "sigma_r"),
-    "sigma_bearing_rad": (
-        "bearing_sigma", "bearing_std", "std_bearing", "bearing_stddev", "sigma_b",
-    ),
-    **dict.fromkeys(
-        ("landmark", "id"),
-        ("landmark_name", "landmark_label", "tag", "tag_id", "marker", "marker_id", "beacon",
-         "beacon_id", "feature_id", "object_id", "target", "target_id", "name"),
-    ),
-    "sigma_m": ("sigma_position", "position_sigma", "position_std", "std"),
-}  # fmt: skip
-"""Names that are read where no header has one of the usual."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,12 +76,13 @@ def meaning(header: str, wanted: Sequence[str]) -> Meaning | None:
 
     Raises UnknownUnit.
     """
-    for usual, names in ((True, NAMES), (False, _ALSO)):
-        for column in wanted:
-            keys = {_key(one) for one in names.get(column, ())}
-            found = _unit_behind(header, keys, column)
-            if found is not None:
-                return Meaning(column, found or None, usual)
+    for usual in (True, False):
+        for name in wanted:
+            column = COLUMNS[name]
+            keys = {_key(word) for word in (column.names if usual else column.less_usual)}
+            unit = _unit_behind(header, keys, name)
+            if unit is not None:
+                return Meaning(name, unit or None, usual)
     return None
 
 
@@ -169,14 +95,21 @@ def named_header(header: str, column: str) -> Meaning:
     return Meaning(column, next((end for end in ends if end), None), usual=True)
 
 
-def column_of(name: str, among: Sequence[str] = tuple(NAMES)) -> str | None:
+def column_of(name: str, among: Sequence[str] = tuple(COLUMNS)) -> str | None:
     """Return the column that a name is of, as `time_s` for `time`; None for none of some."""
     key = _key(name)
-    for names in (NAMES, _ALSO):
-        for column in among:
-            if key in {_key(one) for one in (column, *names.get(column, ()))}:
-                return column
+    columns = [column for column in (COLUMNS[one] for one in among) if column.names]
+    for usual in (True, False):
+        for column in columns:
+            names = column.names if usual else column.less_usual
+            if key in {_key(word) for word in (column.name, *names)}:
+                return column.name
     return None
+
+
+def usual_name(column: str) -> str:
+    """Return what a header of a column is called in texts."""
+    return COLUMNS[column].names[0]
 
 
 def factor_of(column: str, unit: str) -> float:
@@ -193,12 +126,6 @@ def parted(header: str) -> tuple[str, str | None]:
         name = text[:at].replace("_", " ").rstrip()
         return name.replace(" ", "_"), text[at + 1 : -1].strip()
     return text.replace(" ", "_"), None
-
-
-def dimension(column: str) -> str:
-    """Return which of `UNITS` a column is in, by the end of its name; empty for none."""
-    tail = column.rpartition("_")[2]
-    return tail if tail in UNITS else ""
 
 
 def _key(name: str) -> str:

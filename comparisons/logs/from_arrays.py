@@ -3,114 +3,91 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from comparisons.arrays import Array, symmetric
 from comparisons.errors import InputError, RecordError, shorten
-from comparisons.logs.log import (
-    NO_LANDMARK,
-    Columns,
-    Ids,
-    LandmarkMeasurements,
-    Landmarks,
-    Log,
-    Poses,
-    Positions,
-    Prior,
-    Truth,
-)
+from comparisons.logs.log import NO_LANDMARK, Columns, Ids, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import (
     NOISE_TEXT,
     Ackermann,
     Odometry,
     OdometryNoise,
     RelativePoses,
-    SteeringOdometry,
-    VelocityOdometry,
     displacements,
     instants_of,
     poses_at,
 )
 from comparisons.logs.odometry_noise import added_between, reckoned_motion
+from comparisons.logs.records import record_of
+from comparisons.logs.schema import (
+    COLUMNS,
+    COVARIANCE,
+    KINDS,
+    POSES,
+    RELATIVE,
+    STREAMS,
+    TWIST,
+    LogStream,
+)
 from comparisons.logs.stamps import resolved
-from comparisons.logs.validation import standard_deviation, whole_numbers
+from comparisons.logs.validation import refuse_outside, standard_deviation, whole_numbers
 from graphslam.increments import dead_reckoned
 
-KINDS = {
-    "velocity": ("speed_mps", "yaw_rate_radps"),
-    "steering": ("speed_mps", "steering_rad"),
-    "poses": ("x_m", "y_m", "heading_rad"),
-    "relative-poses": ("dx_m", "dy_m", "dheading_rad"),
-}
-"""Kinds of odometry, and the columns that each needs besides `time_s`."""
-COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
-TWIST = ("var_forward", "var_left", "var_turn")
-"""Variances of velocities that a message of odometry has beside its poses."""
 PRIOR_VARIANCE = 1e-6
 _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
+LABELS = tuple(name for name, column in COLUMNS.items() if column.is_label)
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
-VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
-GAPS = ("diameter_m", "intensity")
-"""Columns in which NaN means not measured."""
-LABELS = ("landmark", "id")
-"""Columns of landmarks' names."""
-MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
-
 
 Motion = tuple[Odometry, float, str | None]
 """Odometry, when it starts, and words on the noise of relative poses."""
 
 
 def log_from_arrays(
-    odometry: Columns,
-    measurements: Columns,
-    positions: Columns | None,
-    truth: Columns | None,
-    truth_landmarks: Columns | None,
-    prior: Prior | None,
-    name: str,
+    odometry: Columns, streams: Mapping[str, Columns | None], prior: Prior | None, name: str
 ) -> Log:
-    """See Log.from_arrays."""
-    for what, given in (("odometry", odometry), ("measurements", measurements)):
-        if not isinstance(given, Mapping):
-            raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
-    seen = _columns("measurements", measurements, MEASUREMENTS, ("landmark", *GAPS))
-    numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
-    fixes = None if positions is None else _positions(positions)
-    poses = None
-    if truth is not None:
-        poses = _poses("truth", _columns("truth", truth, ("time_s", *KINDS["poses"])))
+    """See Log.from_arrays. streams: the others, by their arguments there."""
+    for what, columns in (("odometry", odometry), ("measurements", streams["measurements"])):
+        if not isinstance(columns, Mapping):
+            raise InputError(f"{what}: is a {type(columns).__name__}, expected columns by name")
+    tables = {
+        stream: _stream_columns(stream, columns)
+        for stream in STREAMS
+        if (columns := streams.get(stream.argument)) is not None
+    }
+    numbers = LandmarkNumbers(*(table.get(label) for table in tables.values() for label in LABELS))
     with_poses = "x_m" in odometry
-    if with_poses:  # a pose is needed at every instant with a measurement or a position
-        seen["time_s"] = resolved(seen["time_s"])
-        if fixes is not None:
-            fixes = Positions(resolved(fixes.time_s), fixes.position_m, fixes.covariance)
-    names = seen.pop("landmark", np.full(len(seen["time_s"]), NO_LANDMARK))
-    stream = LandmarkMeasurements(**seen, landmark=numbers.of(names))
-    wanted = [stream.time_s] + ([] if fixes is None else [fixes.time_s])
-    moved, start_s, noise = _motion(odometry, np.concatenate(wanted))
-    if with_poses and fixes is not None:
-        fixes = fixes.chosen(np.isin(fixes.time_s, (start_s, *moved.time_s)))
-    where = prior or default_prior(start_s, poses)
+    records: dict[str, Any] = {}
+    for stream, table in tables.items():
+        if with_poses and stream.is_timed:  # a pose is needed at every instant of a record
+            table["time_s"] = resolved(table["time_s"])
+        records[stream.field] = _record(stream, table, numbers)
+    timed = [stream.field for stream in tables if stream.is_timed]
+    moved, start_s, noise = _motion(
+        odometry, np.concatenate([records[field].time_s for field in timed])
+    )
+    for field in timed:
+        if with_poses and field != "measurements":
+            at_poses = np.isin(records[field].time_s, (start_s, *moved.time_s))
+            records[field] = records[field].chosen(at_poses)
+    poses = records.pop("truth.poses", None)
+    truth = Truth(poses, records.pop("truth.landmarks", None))
     provenance = {} if noise is None else {"odometry_noise": noise}
     if numbers.by_text:
         provenance["labels"] = numbers.text()
     return Log(
         name=name,
         format="arrays",
-        prior=where,
+        prior=prior or default_prior(start_s, poses),
         odometry=moved,
-        measurements=stream,
-        positions=fixes,
-        truth=Truth(
-            poses, None if truth_landmarks is None else _landmarks(truth_landmarks, numbers)
-        ),
+        truth=truth,
         provenance=provenance,
+        **records,
     )
 
 
@@ -122,30 +99,33 @@ def default_prior(start_s: float, truth: Poses | None) -> Prior:
     return Prior(start_s, pose, PRIOR_VARIANCE * np.eye(3))
 
 
+def odometry_kinds(names: Collection[str]) -> list[str]:
+    """Return the kinds of odometry that columns are enough for."""
+    return [kind for kind, table in KINDS.items() if set(table.values) <= set(names)]
+
+
 def odometry_kind(names: Sequence[str]) -> str:
     """The kind that columns are of. Raises InputError where that is none or not certain."""
-    found = [kind for kind, needed in KINDS.items() if set(needed) <= set(names)]
-    if len(found) == 1:
-        return found[0]
-    choices = "; ".join(f"{', '.join(needed)} ({kind})" for kind, needed in KINDS.items())
-    if found:
-        raise InputError(f"odometry: holds {' and '.join(found)}, expected one of these kinds")
+    kinds = odometry_kinds(names)
+    if len(kinds) == 1:
+        return kinds[0]
+    choices = "; ".join(f"{', '.join(table.values)} ({kind})" for kind, table in KINDS.items())
+    if kinds:
+        raise InputError(f"odometry: holds {' and '.join(kinds)}, expected one of these kinds")
     raise InputError(f"odometry: columns are {', '.join(names)}, expected time_s and {choices}")
 
 
 def _motion(given: Columns, wanted_s: Array) -> Motion:
     """Odometry of any kind; wanted_s: (M,) instants at which a pose is needed."""
     kind = odometry_kind([name for name in given if name != "time_s"])
-    sigmas = ("sigma_move_m", "sigma_turn")
+    sigmas, needed = ("sigma_move_m", "sigma_turn"), KINDS[kind].needed
     if kind == "poses":
-        optional = (*sigmas, *COVARIANCE, *TWIST)
-        table = _columns("odometry", given, ("time_s", *KINDS[kind]), optional)
+        table = _columns("odometry", given, needed, (*sigmas, *COVARIANCE, *TWIST))
         table["time_s"] = resolved(table["time_s"])
         return _between_poses(_poses("odometry", table), table, wanted_s)
     if kind == "relative-poses":
-        table = _columns("odometry", given, ("time_s", *KINDS[kind]), (*sigmas, *COVARIANCE))
-        return _relative(table)
-    needed = ("time_s", *KINDS[kind], "sigma_speed_mps", "sigma_turn")
+        return _relative(_columns("odometry", given, needed, (*sigmas, *COVARIANCE)))
+    needed = (*needed, "sigma_speed_mps", "sigma_turn")
     table = _columns("odometry", given, needed, _NOISE + (_VEHICLE if kind == "steering" else ()))
     if kind == "steering" and "wheelbase_m" not in given:
         raise InputError("odometry: wheelbase_m is missing, which steering needs")
@@ -153,14 +133,12 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
         *(_single(given, name) for name in ("sigma_speed_mps", "sigma_turn")),
         **{name: _single(given, name) for name in _NOISE if name in given},
     )
-    time_s, first, second = (table[name] for name in ("time_s", *KINDS[kind]))
-    found: Odometry
+    settings: dict[str, Any] = {"noise": noise}
     if kind == "steering":
-        vehicle = Ackermann(**{name: _single(given, name) for name in _VEHICLE if name in given})
-        found = SteeringOdometry(time_s, first, second, vehicle, noise)
-    else:
-        found = VelocityOdometry(time_s, first, second, noise)
-    return found, float(found.time_s[0]) if len(found.time_s) else 0.0, None
+        measures = {name: _single(given, name) for name in _VEHICLE if name in given}
+        settings["vehicle"] = Ackermann(**measures)
+    moved: Odometry = record_of(KINDS[kind], table, **settings)
+    return moved, float(moved.time_s[0]) if len(moved.time_s) else 0.0, None
 
 
 def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Motion:
@@ -193,7 +171,7 @@ def _relative(table: dict[str, Any]) -> Motion:
     time_s = table["time_s"]
     if not len(time_s):
         raise InputError("odometry: holds no motions, expected at least one")
-    moved = np.column_stack([table[name] for name in KINDS["relative-poses"]])
+    moved = np.column_stack([table[name] for name in RELATIVE.values])
     start_s = float(2 * time_s[0] - time_s[1]) if len(time_s) > 1 else float(time_s[0] - 1.0)
     if set(COVARIANCE) <= table.keys():
         covariance = covariances(table)
@@ -220,38 +198,52 @@ def _step_variances(table: dict[str, Any], count: int) -> Array | None:
     return np.column_stack((move, move, turn))[-count:] ** 2
 
 
-def _positions(given: Columns) -> Positions:
-    stated = "sigma_m" in given
-    needed = ("time_s", "x_m", "y_m", *(("sigma_m",) if stated else VARIANCES))
-    table = _columns("positions", given, needed)
-    place = np.column_stack((table["x_m"], table["y_m"]))
-    if stated:
-        sigma = table["sigma_m"]
-        standard_deviation("positions", "sigma_m", sigma)
-        covariance = sigma[:, None, None] ** 2 * np.eye(2)
-    else:
-        covariance = symmetric(np.column_stack([table[name] for name in VARIANCES]))
-    return Positions(table["time_s"], place, covariance)
+def _stream_columns(stream: LogStream, given: Columns) -> dict[str, Any]:
+    """The columns of a stream, of one kind, and the covariances of sigmas or of what is exact."""
+    (table,) = stream.tables.values()
+    covariance = next((part for part in table.fields if part.is_covariance), None)
+    needed = table.needed
+    sigmas = [one for one in table.others if one.stated is not None and one.name in given]
+    if covariance is not None and not stream.is_truth:
+        needed += tuple(column.name for column in sigmas or covariance.columns)
+    singles = [column for part in table.fields if len(part.shape) == 1 for column in part.columns]
+    optional = [column.name for column in singles if column.is_optional]
+    columns = _columns(stream.spoken, given, needed, optional)
+    if covariance is None:
+        return columns
+    unit = np.eye(int(covariance.shape[1]))
+    if stream.is_truth:
+        columns[covariance.name] = np.zeros((len(columns[needed[0]]), *unit.shape))
+    for sigma in sigmas:
+        values = columns[sigma.name]
+        refuse_outside(stream.spoken, sigma.name, values, sigma.limits)
+        columns[covariance.name] = values[:, None, None] ** 2 * unit
+    return columns
 
 
-def _poses(stream: str, table: dict[str, Any]) -> Poses:
-    if not len(table["time_s"]):
+def _record(stream: LogStream, columns: dict[str, Any], numbers: LandmarkNumbers) -> Any:
+    """A stream's record, its landmarks by number."""
+    (table,) = stream.tables.values()
+    if table is POSES:
+        return _poses(stream.spoken, columns)
+    try:
+        for label in [column.name for column in table.columns if column.is_label]:
+            count = len(columns[table.needed[0]])
+            names = columns.get(label, np.full(count, NO_LANDMARK))
+            columns[label] = numbers.of(names, stream.spoken, label)
+        return record_of(table, columns)
+    except RecordError as error:
+        raise RecordError(stream.spoken, error.row, error.fault) from None
+
+
+def _poses(stream: str, columns: dict[str, Any]) -> Poses:
+    if not len(columns["time_s"]):
         raise InputError(f"{stream}: holds no poses, expected at least one")
     try:
-        pose = np.column_stack([table[name] for name in KINDS["poses"]])
-        return Poses(table["time_s"], pose)
+        poses: Poses = record_of(POSES, columns)
     except RecordError as error:
         raise RecordError(stream, error.row, error.fault) from None
-
-
-def _landmarks(given: Columns, numbers: LandmarkNumbers) -> Landmarks:
-    table = _columns("truth landmarks", given, ("id", "x_m", "y_m"))
-    place = np.column_stack((table["x_m"], table["y_m"]))
-    try:
-        ids = numbers.of(table["id"], "truth landmarks", "id")
-        return Landmarks(ids, place, np.zeros((len(place), 2, 2)))
-    except RecordError as error:
-        raise RecordError("truth landmarks", error.row, error.fault) from None
+    return poses
 
 
 class LandmarkNumbers:
@@ -315,9 +307,10 @@ def _columns(
             column = np.full(count, value)
         if column.shape != (count,):
             raise RecordError(stream, None, f"{name} has shape {column.shape}, expected {(count,)}")
-        if column.dtype.kind not in "iuf" and name not in LABELS:
+        is_label = name in LABELS
+        if column.dtype.kind not in "iuf" and not is_label:
             raise RecordError(stream, None, f"{name} is not numeric")
-        found[name] = column if name in LABELS else column.astype(float)
+        found[name] = column if is_label else column.astype(float)
     return found
 
 

@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from comparisons.logs.log import LandmarkMeasurements, Log
+from comparisons.logs.schema import STREAMS
 
 _BITS = 30
 """Of a column's largest number, so many bits count; times count in full.
@@ -20,6 +21,9 @@ _LEAST_BITS, _LEAST = 36, -40
 """Nor does less count than 2^-36 of an array's largest number, nor than 2^-40: a column of zeros
 that are computed is rounding."""
 
+_EACH = ("odometry", "measurements", "positions", "known_landmarks", "known_measurements")
+"""Streams whose absence counts. A log without any other has the hash that it had before these."""
+
 
 def log_hash(log: Log) -> str:
     """SHA-256 of everything that an estimator may be given: all streams but truth.
@@ -27,14 +31,15 @@ def log_hash(log: Log) -> str:
     Equal on all processors: what they round otherwise does not count.
     """
     digest = hashlib.sha256()
-    records: list[object] = [log.prior, log.odometry, log.measurements, log.positions]
-    records += [log.known_landmarks, log.known_measurements]
-    records += [one for one in (log.scans, log.clouds, log.loop_closures) if one is not None]
-    for record in records:
+    records = [log.prior, *(getattr(log, field) for field in _EACH)]
+    others = [one for one in STREAMS if not one.is_truth and one.field not in _EACH]
+    others.sort(key=lambda stream: not stream.is_archived)
+    present = (getattr(log, stream.field) for stream in others)
+    for record in (*records, *(record for record in present if record is not None)):
         if record is None:
             digest.update(b"absent")
             continue
-        for name in sorted(field.name for field in fields(record)):  # type: ignore[arg-type]
+        for name in sorted(field.name for field in fields(record)):
             value = getattr(record, name)
             if (
                 name == "intensity"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -17,20 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable, quoted
+from comparisons.logs import schema
 from comparisons.logs.odometry import Integration, Odometry, RelativePoses, poses_at
+from comparisons.logs.records import LogRecord, Stream
 from comparisons.logs.scans import Clouds, Scans
+from comparisons.logs.schema import NO_LANDMARK as NO_LANDMARK
 from comparisons.logs.validation import (
     LARGEST,
     LARGEST_ID,
-    Stream,
-    check,
-    distinct,
     frozen,
-    increasing,
     positive_definite,
-    refuse,
-    standard_deviation,
-    within,
 )
 from comparisons.shown import Brief, Shown, render
 
@@ -40,9 +37,6 @@ if TYPE_CHECKING:
 Ids = NDArray[np.int64]
 Columns = Mapping[str, Any]
 """Arrays (N,) by name; a single number holds for all rows."""
-
-NO_LANDMARK = -1
-"""Landmark id of a measurement whose landmark the sensor did not name."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -56,6 +50,8 @@ class LandmarkMeasurements(Stream, Brief):
     needs_confirmation: detections may be spurious, so that a new landmark wants several.
     """
 
+    table = schema.MEASUREMENTS
+
     time_s: Array
     range_m: Array
     bearing_rad: Array
@@ -68,21 +64,11 @@ class LandmarkMeasurements(Stream, Brief):
     intensity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for name in ("diameter_m", "intensity"):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
             raise InputError(
                 f"measurements: label_gate is {quoted(self.label_gate)}, expected above 0"
             )
-        check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
-        increasing("measurements", self.time_s, equal=True)
-        refuse("measurements", self.range_m <= 0, "range_m", self.range_m, "above 0")
-        for name in ("sigma_range_m", "sigma_bearing_rad"):
-            standard_deviation("measurements", name, getattr(self, name))
-        within("measurements", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
-        unknown, expected = self.landmark < NO_LANDMARK, f"an id from 0 or {NO_LANDMARK}"
-        refuse("measurements", unknown, "landmark", self.landmark, expected)
+        super().__post_init__()
 
     @classmethod
     def of(
@@ -128,6 +114,8 @@ class Positions(Stream, Brief):
     antenna is, forward and left of the pose that the log estimates.
     """
 
+    table = schema.POSITIONS
+
     time_s: Array
     position_m: Array
     covariance: Array
@@ -140,9 +128,7 @@ class Positions(Stream, Brief):
                 f"positions: antenna_m is {quoted(self.antenna_m)}, expected two numbers"
             )
         object.__setattr__(self, "antenna_m", antenna)
-        check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
-        increasing("positions", self.time_s)
-        positive_definite("positions", self.covariance)
+        super().__post_init__()
 
     def with_sigma(self, sigma_m: float) -> Positions:
         """The same positions, each with one sigma [m] on both axes."""
@@ -157,14 +143,15 @@ class LoopClosures(Stream):
     second in the first's frame. covariance: (N, 3, 3) in the second's frame, as RelativePoses.
     """
 
+    table = schema.CLOSURES
+
     from_s: Array
     to_s: Array
     displacement: Array
     covariance: Array
 
     def __post_init__(self) -> None:
-        check(self, "loop closures", rows="from_s", displacement=(3,), covariance=(3, 3))
-        positive_definite("loop closures", self.covariance)
+        super().__post_init__()
         same = np.flatnonzero(self.from_s == self.to_s)
         if len(same):
             raise RecordError(
@@ -178,17 +165,14 @@ class LoopClosures(Stream):
 
 
 @dataclass(frozen=True)
-class Landmarks:
+class Landmarks(LogRecord):
     """A map. id: (L,), unique. position_m: (L, 2). covariance: (L, 2, 2), zero for exact."""
+
+    table = schema.LANDMARKS
 
     id: Ids
     position_m: Array
     covariance: Array
-
-    def __post_init__(self) -> None:
-        check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
-        positive_definite("landmarks", self.covariance, singular=True)
-        distinct("landmarks", self.id)
 
     def places_of(self, ids: Ids) -> Array:
         """(K, 2) positions of landmarks by their ids (K,), all of which are in the map."""
@@ -197,15 +181,13 @@ class Landmarks:
 
 
 @dataclass(frozen=True, repr=False)
-class Poses(Brief):
+class Poses(LogRecord, Brief):
     """A trajectory. time_s: (N,). pose: (N, 3) x, y [m], heading [rad]."""
+
+    table = schema.POSES
 
     time_s: Array
     pose: Array
-
-    def __post_init__(self) -> None:
-        check(self, "poses", rows="time_s", pose=(3,))
-        increasing("poses", self.time_s)
 
     def at(self, time_s: Array) -> Array:
         """(N, 3) poses at times (N,), between the records by interpolation, headings unwrapped."""
@@ -213,13 +195,12 @@ class Poses(Brief):
 
 
 @dataclass(frozen=True)
-class Surfaces:
+class Surfaces(LogRecord):
     """Walls and outlines as segments. segment: (S, 4) x1, y1, x2, y2 [m]."""
 
-    segment: Array
+    table = schema.SURFACES
 
-    def __post_init__(self) -> None:
-        check(self, "surfaces", rows="segment", segment=(4,))
+    segment: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -370,8 +351,13 @@ class Log(Shown):
         """
         from comparisons.logs.from_arrays import log_from_arrays
 
-        given = odometry, measurements, positions, truth, truth_landmarks
-        return log_from_arrays(*given, prior, name)
+        streams = {
+            "measurements": measurements,
+            "positions": positions,
+            "truth": truth,
+            "truth_landmarks": truth_landmarks,
+        }
+        return log_from_arrays(odometry, streams, prior, name)
 
     def __repr__(self) -> str:
         """Return name, counts and duration in one line."""
@@ -443,17 +429,12 @@ class Log(Shown):
     @property
     def records(self) -> dict[str, int]:
         """Number of records in each stream that is present, without those that hold a guess."""
-        streams = {
-            "odometry": self.odometry,
-            "measurements": self.measurements,
-            "positions": self.positions,
-            "loop closures": self.loop_closures,
-            "known measurements": self.known_measurements,
-            "scans": self.scans,
-            "clouds": self.clouds,
-            "truth poses": self.truth.poses,
+        streams = ((stream.name, attrgetter(stream.field)(self)) for stream in schema.STREAMS)
+        counts = {
+            name: len(record.time_s)
+            for name, record in streams
+            if record is not None and record.table.times
         }
-        counts = {name: len(s.time_s) for name, s in streams.items() if s is not None}
         if isinstance(self.odometry, RelativePoses):
             counts["odometry"] -= int(np.isnan(self.odometry.covariance[:, 0, 0]).sum())
         return counts

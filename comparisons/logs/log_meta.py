@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,6 +20,10 @@ MARK = "log.toml"
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def record_settings(self) -> dict[str, Any]:
+        """What a stream's section says, as arguments of its record."""
+        return self.model_dump()
 
 
 _Three = tuple[float, float, float]
@@ -44,6 +48,10 @@ class _NoiseModel(_Model):
     variance_rate_position: float = OdometryNoise.variance_rate_position
     variance_rate_heading: float = OdometryNoise.variance_rate_heading
 
+    def record(self) -> OdometryNoise:
+        """The same, checked."""
+        return OdometryNoise(**self.model_dump())
+
 
 class SteeringModel(_Model):
     """Odometry of speed and steering."""
@@ -52,12 +60,21 @@ class SteeringModel(_Model):
     vehicle: _VehicleModel
     noise: _NoiseModel
 
+    def record_settings(self) -> dict[str, Any]:
+        """Kind, vehicle and noise."""
+        vehicle = Ackermann(**self.vehicle.model_dump())
+        return {"kind": self.kind, "vehicle": vehicle, "noise": self.noise.record()}
+
 
 class VelocityModel(_Model):
     """Odometry of speed and yaw rate."""
 
     kind: Literal["velocity"]
     noise: _NoiseModel
+
+    def record_settings(self) -> dict[str, Any]:
+        """Kind and noise."""
+        return {"kind": self.kind, "noise": self.noise.record()}
 
 
 class RelativeModel(_Model):
@@ -87,6 +104,11 @@ class ScansModel(_Model):
     heading_rad: float = Mount.heading_rad
     beam_s: float = 0.0
 
+    def record_settings(self) -> dict[str, Any]:
+        """Mount and beam_s."""
+        mount = Mount(self.forward_m, self.left_m, self.heading_rad)
+        return {"mount": mount, "beam_s": self.beam_s}
+
 
 class LogModel(_Model):
     """The whole file."""
@@ -101,6 +123,11 @@ class LogModel(_Model):
     positions: PositionsModel = PositionsModel()
     scans: ScansModel = ScansModel()
     provenance: dict[str, str] = {}
+
+    def settings(self, stream: str) -> dict[str, Any]:
+        """Return what the file says of a stream: arguments of its record, `kind` of odometry."""
+        section = getattr(self, stream, None)
+        return {} if section is None else section.record_settings()
 
 
 def read_meta(path: Path) -> LogModel:

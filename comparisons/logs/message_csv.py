@@ -15,7 +15,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, shorten
-from comparisons.logs.from_arrays import COVARIANCE
+from comparisons.logs.schema import COLUMNS
 from comparisons.logs.table import is_number
 
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
@@ -35,22 +35,7 @@ ENDINGS = {
     "angular_velocity_z": "turn",
     **{name: name for name in ("latitude", "longitude", "altitude")},
 }
-"""How the path of a message's field ends, and what it is."""
-QUATERNION = ("qx", "qy", "qz", "qw")
-_UPPER = (0, 1, 5, 7, 11, 35)
-"""x, y and the turn about z of a message's six: the upper triangle among its 36 covariances."""
-PARTS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "time_s": (("stamp_s", "stamp_ns"), ("stamp",)),
-    "x_m": (("x",),), "y_m": (("y",),), "heading_rad": (QUATERNION,),
-    "speed_mps": (("forward",),), "yaw_rate_radps": (("turn",),),
-    **{name: ((f"pose_{k}",),) for name, k in zip(COVARIANCE, _UPPER, strict=True)},
-    "var_x_m2": (("position_0",), ("pose_0",)),
-    "cov_xy_m2": (("position_1",), ("pose_1",)),
-    "var_y_m2": (("position_4",), ("pose_7",)),
-    "var_forward": (("twist_0",),), "var_left": (("twist_7",),), "var_turn": (("twist_35",),),
-    **{name: ((name,),) for name in ("latitude", "longitude", "altitude")},
-}  # fmt: skip
-"""By column of a log, the fields that it is made of; the first that are all there."""
+"""How the path of a message's field ends, and what the schema's columns call it."""
 
 
 def _six(name: str) -> tuple[str, ...]:
@@ -115,7 +100,7 @@ class MessageFields:
 
         Raises InputError where two messages have them.
         """
-        for fields in PARTS.get(column, ()):
+        for fields in COLUMNS[column].fields:
             found = [self._places.get(field, []) for field in fields]
             if all(found):
                 if several := next((places for places in found if len(places) > 1), None):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,15 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError, quoted, shorten
-from comparisons.logs.column_names import (
-    NAMES,
-    UNITS,
-    ColumnOptions,
-    column_of,
-    dimension,
-    known_unit,
-)
-from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, TWIST, VARIANCES
+from comparisons.logs.column_names import ColumnOptions, column_of, known_unit, usual_name
+from comparisons.logs.from_arrays import odometry_kinds
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import RelativePoses, wheel_samples
@@ -31,39 +24,37 @@ from comparisons.logs.plain_csv import (
     split_unit,
 )
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
+from comparisons.logs.schema import (
+    COLUMNS,
+    COVARIANCE,
+    KINDS,
+    LARGEST_SIGMA,
+    LEAST_SIGMA,
+    OPTIONS,
+    POSES,
+    POSITIONS,
+    STREAMS,
+    TWIST,
+    UNITS,
+    VARIANCES,
+    LogStream,
+    dimension,
+)
 from graphslam.increments import MotionSamples, dead_reckoned
 
-_MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
-_MEASUREMENTS = (*MEASUREMENTS[:3], "landmark", *MEASUREMENTS[3:], *GAPS)
-_PLACE = ("time_s", "x_m", "y_m")
+_BY_ARGUMENT = {stream.argument: stream for stream in STREAMS if stream.option}
+_MOTION = tuple(dict.fromkeys(name for table in KINDS.values() for name in table.values))
+_PLACE = POSITIONS.needed
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)
-_LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
-"""Larger angles and rates than a vehicle has are degrees, or wrong."""
-_SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
-"""What is stated above zero."""
-OPTIONS = {
-    "sigma_speed_mps": "--sigma-speed",
-    "sigma_turn": "--sigma-turn",
-    "sigma_move_m": "--sigma-move",
-    "sigma_range_m": "--sigma-range",
-    "sigma_bearing_rad": "--sigma-bearing",
-    "sigma_m": "--sigma-position",
-    "wheelbase_m": "--wheelbase",
+_STREAM_OF = {
+    column.name: stream.spoken
+    for stream in _BY_ARGUMENT.values()
+    for table in stream.user_tables
+    for column in (*table.columns, *table.others)
+    if column.stated is not None
 }
-"""The option that states a column's number for all rows."""
-_SIGMA_OF: dict[str, tuple[str, tuple[str, ...]]] = {
-    "sigma_speed_mps": ("odometry", ("speed_mps",)),
-    "sigma_turn": (
-        "odometry", ("yaw_rate_radps", "steering_rad", "heading_rad", "dheading_rad"),
-    ),
-    "sigma_move_m": ("odometry", ("x_m", "dx_m")),
-    "sigma_range_m": ("measurements", ("range_m",)),
-    "sigma_bearing_rad": ("measurements", ("bearing_rad",)),
-    "sigma_m": ("positions", ("x_m",)),
-    "wheelbase_m": ("", ("wheelbase_m",)),
-}  # fmt: skip
-"""The stream and the columns that a stated sigma is of, whose kinds of units it may have."""
+"""The stream that a stated number is of."""
 LEAST_VARIANCE = 1e-6
 """Drivers write smaller ones of positions for what they do not know."""
 
@@ -72,9 +63,9 @@ LEAST_VARIANCE = 1e-6
 class UserFiles:
     """What a user has, and what he states.
 
-    stated: by column, such as `sigma_range_m`, what holds for all rows: numbers in SI, or texts,
-    "1" in SI, or "1deg". truth: reads its poses, by what
-    times count from.
+    paths: by argument of `Log.from_arrays`, but for the truth's poses. stated: by column, such as
+    `sigma_range_m`, what holds for all rows: numbers in SI, or texts, "1" in SI, or "1deg". truth:
+    reads its poses, by what times count from.
     kind: of odometry, None where the columns say. units: by `COLUMN` or `STREAM:COLUMN`, of values
     whose header names no unit. columns: by the same, with a usual name for COLUMN, the header that
     has it. prior_pose: (x, y, heading) at the first odometry. imu: yaw rates in place of the
@@ -82,12 +73,9 @@ class UserFiles:
     """
 
     name: str
-    odometry: Path
-    measurements: Path
+    paths: Mapping[str, Path]
     stated: Mapping[str, float | str]
-    positions: Path | None = None
     truth: Callable[[int], PlainTable] | None = None
-    truth_landmarks: Path | None = None
     kind: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -106,16 +94,15 @@ class NewLog(NamedTuple):
 def build(files: UserFiles) -> NewLog:
     """Read the files into a log. Raises InputError naming file, line, value and expectation."""
     reading = _Reading(files)
-    odometry, measurements, positions, truth, marks = reading.all()
+    streams = reading.all()
     if reading.stated:
         name = next(iter(reading.stated))
         why = f"the {reading.kind} odometry does not use it"
         if name == "sigma_m":
             why = "the file of --positions gives its own sigmas, or there is none"
         raise InputError(f"{OPTIONS[name]}: {why}")
-    more: dict[str, Any] = {"positions": positions, "truth": truth, "truth_landmarks": marks}
     try:
-        log = Log.from_arrays(odometry, measurements, **more, name=files.name)
+        log = Log.from_arrays(**streams, name=files.name)
     except RecordError as error:
         raise reading.located(error) from None
     if files.prior_pose is not None:
@@ -145,15 +132,19 @@ class _Reading:
         self.kind, self.geodetic = "", False
         self.start_s: int | None = None  # that of the odometry, which is read first
         self.span_s = (-np.inf, np.inf)
+        self.kinds = {"odometry": self.odometry, "positions": self.positions}
 
-    def all(self) -> list[Any]:
+    def all(self) -> dict[str, Any]:
         """All streams. Raises InputError that names what is unknown or missing in any of them."""
-        streams, faults = [], list[str]()
-        for read in (
-            self.odometry, self.measurements, self.positions, self.truth, self.truth_landmarks,
-        ):  # fmt: skip
+        streams: dict[str, Any] = {}
+        faults: list[str] = []
+        for argument, stream in _BY_ARGUMENT.items():
             try:
-                streams.append(read())
+                if argument == "truth":
+                    streams[argument] = self.truth()
+                elif argument in self.files.paths:
+                    read = self.kinds.get(argument, self.stream)
+                    streams[argument] = read(stream, self.files.paths[argument])
             except InputError as error:
                 faults.append(str(error))
         faults += self._unused_options()
@@ -162,17 +153,16 @@ class _Reading:
             raise InputError(faults[0] if not faults[1:] else f"{'; '.join(several)}; {SEE}")
         return streams
 
-    def odometry(self) -> dict[str, Any]:
+    def odometry(self, stream: LogStream, path: Path) -> dict[str, Any]:
         """Columns of one kind, with what is stated of it."""
-        wanted = ("time_s", *_MOTION, *COVARIANCE, *TWIST)
-        table = self._read("odometry", self.files.odometry, wanted)
+        table = self._read("odometry", path, stream.wanted)
         self.start_s = table.start_s
         if self.files.imu is not None:
             table = self._with_imu(table, self.files.imu)
         self.kind = self.files.kind or self._kind(table)
         if self.kind not in KINDS:
             raise InputError(f"--kind is {quoted(self.kind)}, expected one of {', '.join(KINDS)}")
-        needed = ("time_s", *KINDS[self.kind])
+        needed = KINDS[self.kind].needed
         need(table, needed)
         moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
         covariances: tuple[str, ...] = ()
@@ -232,28 +222,9 @@ class _Reading:
         origin = {**table.origin, "yaw_rate_radps": f"{path.name}, mean of each sample"}
         return replace(table, columns=columns, origin=origin)
 
-    def measurements(self) -> dict[str, Any]:
-        """Columns, within the odometry's time."""
-        table = self._read("measurements", self.files.measurements, _MEASUREMENTS)
-        need(table, ("time_s", "range_m", "bearing_rad"))
-        self._check_angle(table, "bearing_rad")
-        table = self._within("measurements", self._once("measurements", table))
-        if "landmark" not in table.columns:
-            names = " or ".join(NAMES["landmark"])
-            self.notes.append(
-                "landmarks are unknown and will be associated by the estimators: there is no "
-                f"column {names}"
-            )
-        sigmas = [n for n in ("sigma_range_m", "sigma_bearing_rad") if n not in table.columns]
-        return {**table.columns, **self._take_all(*sigmas)}
-
-    def positions(self) -> dict[str, Any] | None:
+    def positions(self, stream: LogStream, path: Path) -> dict[str, Any]:
         """Columns, within the odometry's time; of latitudes and longitudes, about the first."""
-        if self.files.positions is None:
-            return None
-        table = self._read(
-            "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *VARIANCES)
-        )
+        table = self._read("positions", path, stream.wanted)
         self.geodetic = set(_FIX) <= table.columns.keys() and "x_m" not in table.columns
         need(table, _FIX if self.geodetic else _PLACE)
         table = self._within("positions", self._once("positions", table))
@@ -271,6 +242,8 @@ class _Reading:
             return {**place, **variances}
         if variances["var_x_m2"] is not None:
             self.notes.append("covariances of positions below (1 mm)^2 are none, and not used")
+        if "sigma_m" in columns:
+            return {**place, "sigma_m": columns["sigma_m"]}
         return {**place, **self._take_all("sigma_m")}
 
     def truth(self) -> dict[str, Any] | None:
@@ -278,17 +251,27 @@ class _Reading:
         if self.files.truth is None:
             return None
         table = self.tables["truth"] = self.files.truth(self.start_s or 0)
-        need(table, ("time_s", *KINDS["poses"]))
+        need(table, POSES.needed)
         return table.columns
 
-    def truth_landmarks(self) -> dict[str, Any] | None:
-        """Columns of the true map."""
-        if self.files.truth_landmarks is None:
-            return None
-        wanted = ("id", "x_m", "y_m")
-        table = self._read("truth landmarks", self.files.truth_landmarks, wanted)
-        need(table, wanted)
-        return table.columns
+    def stream(self, stream: LogStream, path: Path) -> dict[str, Any]:
+        """Columns of a stream of one kind, with what is stated of those that no file must have."""
+        (declared,) = stream.tables.values()
+        table = self._read(stream.spoken, path, stream.wanted)
+        stated = [name for name in declared.needed if COLUMNS[name].stated is not None]
+        need(table, [name for name in declared.needed if name not in stated])
+        for name in declared.needed:
+            self._check_angle(table, name)
+        if stream.is_timed:
+            table = self._within(stream.spoken, self._once(stream.spoken, table))
+        if "landmark" in declared.names and "landmark" not in table.columns:
+            names = " or ".join(COLUMNS["landmark"].names)
+            self.notes.append(
+                "landmarks are unknown and will be associated by the estimators: there is no "
+                f"column {names}"
+            )
+        lacking = [name for name in stated if name not in table.columns]
+        return {**table.columns, **self._take_all(*lacking)}
 
     def located(self, error: RecordError) -> InputError:
         """A record's fault with the file and line that it came from."""
@@ -311,7 +294,7 @@ class _Reading:
             row = int(stray[0])
             fault = (
                 f"time {seen_s[row]} s is not the end of a motion, expected a time at which a "
-                f"motion of {self.files.odometry} ends"
+                f"motion of {self.files.paths['odometry']} ends"
             )
             raise self.located(RecordError("measurements", row, fault))
 
@@ -347,7 +330,7 @@ class _Reading:
         A message of odometry holds poses and velocities; a bag's poses are read.
         """
         names = {name for name in table.columns if name in _MOTION}
-        kinds = _kinds(names - table.guessed) or _kinds(names)
+        kinds = odometry_kinds(names - table.guessed) or odometry_kinds(names)
         driven = [kind for kind in kinds if kind in ("velocity", "steering")]
         if len(driven) == 1 and "sigma_speed_mps" in self.stated:
             kinds = driven
@@ -364,8 +347,8 @@ class _Reading:
         found = f"unknown columns: {shown(unknown)}" if unknown else "columns are missing"
         read = shown([header for header in table.headers if header in table.used])
         choices = "; ".join(
-            f"{kind}: {', '.join(' or '.join(NAMES[name][:2]) for name in needed)}"
-            for kind, needed in KINDS.items()
+            f"{kind}: {', '.join(' or '.join(COLUMNS[name].names[:2]) for name in table.values)}"
+            for kind, table in KINDS.items()
         )
         raise InputError(
             f"{table.path}: odometry: {found}; expected beside {read or 'time'} one of {choices}; "
@@ -377,7 +360,7 @@ class _Reading:
         lacking = [name for name in names if name not in self.stated]
         if lacking:
             options = " and ".join(OPTIONS[name] for name in lacking)
-            columns = " and ".join(name for name in lacking if name in NAMES)
+            columns = " and ".join(name for name in lacking if COLUMNS[name].names)
             fault = (
                 "are missing, expected numbers" if lacking[1:] else "is missing, expected a number"
             )
@@ -390,15 +373,16 @@ class _Reading:
         value = self.stated.pop(name)
         if isinstance(value, str):
             value = self._in_si(name, value)
-        least = 1e-7 if name in _SHARP else 0.0
-        if not least <= value <= 1e6:
+        stated = COLUMNS[name].stated
+        least = LEAST_SIGMA if stated is None or stated.is_positive else 0.0
+        if not least <= value <= LARGEST_SIGMA:
             raise InputError(f"{OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
         return value
 
     def _in_si(self, name: str, text: str) -> float:
         """A number in SI, or with a unit behind it; of rates, angles too, which are per second."""
-        stream, columns = _SIGMA_OF[name]
-        table = self.tables.get(stream)
+        stated, table = COLUMNS[name].stated, self.tables.get(_STREAM_OF[name])
+        columns = (name,) if stated is None else stated.of
         column = next((one for one in columns if table and one in table.columns), columns[0])
         units = dict(UNITS[dimension(column)])
         if dimension(column) == "radps":
@@ -433,7 +417,9 @@ class _Reading:
         for given, header in self.files.columns.items():
             name, option = _column(given), f"--column {shorten(f'{given}={header}')}"
             if column_of(name) is None:
-                usual = ", ".join(dict.fromkeys(one[0] for one in NAMES.values()))
+                usual = ", ".join(
+                    dict.fromkeys(column.names[0] for column in COLUMNS.values() if column.names)
+                )
                 faults.append(f"{option}: '{shorten(name)}' is unknown, expected {usual}")
             elif not any(name in table.named for table in self._tables_of(given)):
                 faults.append(f"{option}: no file that needs it has a column '{shorten(header)}'")
@@ -463,14 +449,17 @@ class _Reading:
 
     def _check_angle(self, table: PlainTable, name: str) -> None:
         """Values that can only be degrees are refused with the word that converts them."""
-        values, largest = np.abs(table.columns.get(name, np.zeros(0))), _LARGEST.get(name, np.inf)
+        largest = COLUMNS[name].degrees_above
+        if largest == np.inf or name not in table.columns:
+            return
+        values = np.abs(table.columns[name])
         if len(values) and values.max() > largest:
             row, header = int(values.argmax()), table.origin[name]
             unit = "degps" if name.endswith("ps") else "deg"
             raise InputError(
                 f"{table.path}:{table.line[row]}: '{header}' is {table.columns[name][row]:g} in "
                 f"radians, expected {largest:.4g} at most; give --unit {header}={unit}, or name "
-                f"the column {NAMES[name][0]}_{unit}, if these are degrees"
+                f"the column {usual_name(name)}_{unit}, if these are degrees"
             )
 
 
@@ -493,11 +482,6 @@ def column_options(
 def _column(given: str) -> str:
     """The column of an option of `COLUMN` or `STREAM:COLUMN`."""
     return given.rpartition(":")[2]
-
-
-def _kinds(names: Collection[str]) -> list[str]:
-    """The kinds of odometry that columns are enough for."""
-    return [kind for kind, needed in KINDS.items() if set(needed) <= set(names)]
 
 
 def _laid(log: Log, plane: Positions) -> tuple[Log, str]:

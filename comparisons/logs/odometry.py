@@ -9,8 +9,10 @@ from typing import Literal
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import Stream, check, increasing, positive_definite, refuse, within
+from comparisons.errors import InputError
+from comparisons.logs import schema
+from comparisons.logs.records import Stream
+from comparisons.logs.validation import refuse
 from comparisons.shown import Brief
 from graphslam import increments
 
@@ -68,6 +70,8 @@ class OdometryNoise:
 class SteeringOdometry(Stream, Brief):
     """Speed [m/s] and steering angle [rad, left positive], each held until the next sample."""
 
+    table = schema.STEERED
+
     time_s: Array
     speed_mps: Array
     steering_rad: Array
@@ -80,9 +84,7 @@ class SteeringOdometry(Stream, Brief):
         return self.speed_mps, self.steering_rad
 
     def __post_init__(self) -> None:
-        check(self, "steering odometry", rows="time_s")
-        increasing("steering odometry", self.time_s, equal=True)
-        within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
+        super().__post_init__()
         slip = np.tan(self.steering_rad) * self.vehicle.encoder_offset_m / self.vehicle.wheelbase_m
         smaller = "a smaller angle (it turns the vehicle about the wheel with the encoder)"
         refuse("steering odometry", slip > 0.95, "steering_rad", self.steering_rad, smaller)
@@ -91,6 +93,8 @@ class SteeringOdometry(Stream, Brief):
 @dataclass(frozen=True, repr=False)
 class VelocityOdometry(Stream, Brief):
     """Speed [m/s] and yaw rate [rad/s], each held until the next sample."""
+
+    table = schema.VELOCITY
 
     time_s: Array
     speed_mps: Array
@@ -102,10 +106,6 @@ class VelocityOdometry(Stream, Brief):
         """Of the estimators, (N,) each."""
         return self.speed_mps, self.yaw_rate_radps
 
-    def __post_init__(self) -> None:
-        check(self, "velocity odometry", rows="time_s")
-        increasing("velocity odometry", self.time_s, equal=True)
-
 
 @dataclass(frozen=True, repr=False)
 class RelativePoses(Stream, Brief):
@@ -116,22 +116,11 @@ class RelativePoses(Stream, Brief):
     where nothing measured the motion, the displacement being a guess and the log having closures.
     """
 
+    table = schema.RELATIVE
+
     time_s: Array
     displacement: Array
     covariance: Array
-
-    def __post_init__(self) -> None:
-        shapes = {"displacement": (3,), "covariance": (3, 3)}
-        check(self, "relative poses", rows="time_s", gaps=("covariance",), **shapes)
-        increasing("relative poses", self.time_s)
-        unknown = np.asarray(np.isnan(self.covariance))
-        missing = np.asarray(unknown.all(axis=(1, 2)))
-        partial = np.flatnonzero(unknown.any(axis=(1, 2)) & ~missing)
-        if len(partial):
-            raise RecordError("relative poses", int(partial[0]), "covariance is nan in part")
-        positive_definite(
-            "relative poses", np.where(missing[:, None, None], np.eye(3), self.covariance)
-        )
 
 
 Odometry = SteeringOdometry | VelocityOdometry | RelativePoses

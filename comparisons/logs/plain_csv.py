@@ -24,22 +24,20 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError, shorten
 from comparisons.logs.column_names import (
-    NAMES,
     RENAME,
-    UNITS,
     ColumnOptions,
     Meaning,
     UnknownUnit,
     column_of,
-    dimension,
     factor_of,
     known_unit,
     meaning,
     named_header,
     parted,
+    usual_name,
 )
-from comparisons.logs.from_arrays import GAPS, LABELS
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
+from comparisons.logs.schema import COLUMNS, UNITS, dimension
 from comparisons.logs.stamps import (
     Nanoseconds,
     nanoseconds,
@@ -60,12 +58,11 @@ _ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alo
 _DIGITS = re.compile(r"\d+")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_SIGNED = (
-    "bearing_rad", "yaw_rate_radps", "steering_rad", "heading_rad", "dheading_rad", "x_m", "y_m",
-    "dx_m", "dy_m", "speed_mps",
-)  # fmt: skip
-"""Columns that may count the other way round, as `--unit bearing=-deg`."""
-_FOLLOWS = {"sigma_range_m": "range_m", "sigma_bearing_rad": "bearing_rad", "sigma_m": "x_m"}
+_SIGMAS = {
+    name: column.stated.of[0]
+    for name, column in COLUMNS.items()
+    if column.stated is not None and column.names
+}
 """A column of sigmas, and the one that it is of; its unit is its own."""
 _ISO = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,12}))?(Z|[+-]\d\d:?\d\d)?")
 
@@ -164,7 +161,7 @@ def read_plain(
     time_ns: Nanoseconds | None = None
     for name, source in sources.items():
         header = "', '".join(lines.names[place] for place in source.places)
-        if name in LABELS:
+        if COLUMNS[name].is_label:
             columns[name] = np.array(lines.words(source.places[0], text=True), dtype=str)
         elif name == "time_s":
             stamps, unit[name] = _times(lines, source, header)
@@ -204,7 +201,8 @@ def need(table: PlainTable, names: Sequence[str]) -> None:
     if not lacking:
         return
     expected = ", and ".join(
-        f"no column for {name}, expected one named {' or '.join(NAMES[name])}" for name in lacking
+        f"no column for {name}, expected one named {' or '.join(COLUMNS[name].names)}"
+        for name in lacking
     )
     alone = [one for one in _ALONE if one in names]
     note = _ALONE[lacking[0]] if len(alone) == 2 and lacking[0] in alone and not lacking[1:] else ""
@@ -261,8 +259,8 @@ def _lines(path: Path, wanted: Sequence[str], options: ColumnOptions) -> _Lines:
 
 def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[str]) -> str:
     """What is said of a file that has none of the columns wanted."""
-    named = [name for name in wanted[:6] if NAMES[name] != (name,)]
-    choices = ", ".join(f"{name} ({', '.join(NAMES[name])})" for name in named)
+    columns = [COLUMNS[name] for name in wanted[:6] if COLUMNS[name].names != (name,)]
+    choices = ", ".join(f"{column.name} ({', '.join(column.names)})" for column in columns)
     if header and delimiter not in header and _numeric(",".join(header.split()), ","):
         return (
             "numbers with blanks between them, as a TUM trajectory has, expected a line of names "
@@ -280,12 +278,15 @@ def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[
 def _empty(sources: Mapping[str, _Source], rows: list[list[str]]) -> list[str]:
     """Columns of numbers without any, where that is no value of their own."""
     some = {place for row in rows for place, word in enumerate(row) if word.strip()}
-    own = (*LABELS, *GAPS)
     return [
         name
         for name, source in sources.items()
-        if rows and name not in own and some.isdisjoint(source.places)
+        if rows and not _may_be_empty(name) and some.isdisjoint(source.places)
     ]
+
+
+def _may_be_empty(name: str) -> bool:
+    return COLUMNS[name].is_label or COLUMNS[name].has_gaps
 
 
 def _with_points(words: list[str]) -> list[str]:
@@ -351,7 +352,7 @@ def _both(lines: _Lines, headers: list[tuple[int, Meaning]], options: ColumnOpti
     text = f"columns '{name}' and '{other}' both mean {meant.column}, expected one"
     if options.headers is None:
         return text
-    return f"{text}: give --column {NAMES[meant.column][0]}={name}, or ={other}"
+    return f"{text}: give --column {usual_name(meant.column)}={name}, or ={other}"
 
 
 def _named(lines: _Lines, wanted: Sequence[str], options: ColumnOptions) -> dict[str, _Source]:
@@ -370,7 +371,7 @@ def _named(lines: _Lines, wanted: Sequence[str], options: ColumnOptions) -> dict
 
 def _check_sigma_units(lines: _Lines, sources: Mapping[str, _Source]) -> None:
     """Raise InputError for a column of sigmas without a unit, beside values that have another."""
-    for name, of in _FOLLOWS.items():
+    for name, of in _SIGMAS.items():
         sigma, values = sources.get(name), sources.get(of)
         if sigma is None or values is None or sigma.unit is not None:
             continue
@@ -380,7 +381,7 @@ def _check_sigma_units(lines: _Lines, sources: Mapping[str, _Source]) -> None:
         header, other = (shorten(lines.names[source.places[0]]) for source in (sigma, values))
         raise InputError(
             f"{lines.path}: '{header}' names no unit beside '{other}' in {unit}, expected one: "
-            f"name it {NAMES[name][0]}_{unit}, or give --unit {header}={unit} (or "
+            f"name it {usual_name(name)}_{unit}, or give --unit {header}={unit} (or "
             f"{dimension(name)})"
         )
 
@@ -388,14 +389,14 @@ def _check_sigma_units(lines: _Lines, sources: Mapping[str, _Source]) -> None:
 def _stated(lines: _Lines, name: str, source: _Source, units: Mapping[str, str]) -> _Source:
     """The same with the unit that a user gave for it."""
     header = lines.names[source.places[0]]
-    called = {header.lower(), parted(header)[0], name, *NAMES[name]} | {source.named.lower()}
-    given = next((one for one in units if one.lower() in called), None)
+    names = {header.lower(), parted(header)[0], name, source.named.lower(), *COLUMNS[name].names}
+    given = next((one for one in units if one.lower() in names), None)
     if given is None:
         return source
     known = UNITS.get(dimension(name), {})
     sign = "-" if units[given].startswith("-") else ""
     unit = known_unit(name, units[given].removeprefix("-"))
-    if unit is None or (sign and name not in _SIGNED):
+    if unit is None or (sign and not COLUMNS[name].is_signed):
         raise InputError(
             f"--unit {given}={units[given]}: the unit is unknown, expected "
             f"{', '.join(known) or 'none'}"
@@ -442,7 +443,7 @@ def _numbers(path: Path, words: list[str], lines: list[int], name: str, header: 
         return values
     found = []
     for word, line in zip(words, lines, strict=True):
-        if name in GAPS and word.lower() in ("", "nan"):
+        if COLUMNS[name].has_gaps and word.lower() in ("", "nan"):
             found.append(float("nan"))
         else:
             found.append(number_or_fail(word, path, line, f"'{shorten(header)}'"))

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import Stream, check, increasing
+from comparisons.logs import schema
+from comparisons.logs.records import LogRecord, Stream
 
 Index = NDArray[np.int64]
 
@@ -43,6 +44,8 @@ class Scans(Stream):
     range_m: (N, B), NaN for no return. intensity: (N, B), zero where not measured.
     """
 
+    table = schema.SCANS
+
     time_s: Array
     angle_rad: Array
     range_m: Array
@@ -51,10 +54,7 @@ class Scans(Stream):
     beam_s: float = 0.0
 
     def __post_init__(self) -> None:
-        beams = (len(self.angle_rad),)
-        shapes = {"angle_rad": None, "range_m": beams, "intensity": beams}
-        check(self, "scans", rows="time_s", gaps=("range_m",), **shapes)
-        increasing("scans", self.time_s)
+        super().__post_init__()
         if not abs(self.beam_s) * len(self.angle_rad) <= _LONGEST_SWEEP_S:
             raise InputError(
                 f"scans: beam_s is {self.beam_s}, expected sweeps of {_LONGEST_SWEEP_S:g} s at most"
@@ -62,13 +62,15 @@ class Scans(Stream):
 
 
 @dataclass(frozen=True)
-class Clouds:
+class Clouds(LogRecord):
     """Scans in three dimensions, one after the other in one table of points.
 
     time_s: (N,). first: (N + 1,) row of each scan's first point, and the end. point_m: (P, 3)
     forward, left and up of the log's pose as the point was measured; rows of NaN are no returns.
     point_s: (P,) when that was, in seconds after its scan's time.
     """
+
+    table = schema.CLOUDS
 
     time_s: Array
     first: Index
@@ -83,14 +85,7 @@ class Clouds:
             raise RecordError("clouds", None, f"first must hold {count} whole numbers")
         if first[0] != 0 or first[-1] != points or (np.diff(first) < 0).any():
             raise RecordError("clouds", None, f"first must run from 0 up to {points} points")
-        first = first.astype(np.int64)
-        first.flags.writeable = False
-        own = {"first": None, "point_m": None, "point_s": None}
-        check(self, "clouds", rows="point_m", gaps=("point_m",), time_s=None, first=None,
-              point_m=(3,))  # fmt: skip
-        check(self, "clouds", rows="time_s", gaps=("point_m",), **own)
-        object.__setattr__(self, "first", first)
-        increasing("clouds", self.time_s)
+        super().__post_init__()
 
     def points(self, scan: int) -> Array:
         """(M, 3) of one scan, without its missing returns."""

@@ -7,7 +7,7 @@ import io
 import re
 import tomllib
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from decimal import Decimal
 from pathlib import Path
@@ -19,7 +19,6 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, check_regular, shorten, unusable_file
 from comparisons.logs.stamps import Nanoseconds, nanoseconds, resolved_by_floats, seconds_after
 
-_TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
 PACKED = {".gz": "gzip", ".bz2": "bz2"}
 """Modules that unpack files, by suffix."""
@@ -46,12 +45,12 @@ class TextTable:
         header: bool = False,
         gaps: tuple[str, ...] = (),
         optional: tuple[str, ...] = (),
-        start_s: int = 0,
+        starts_s: Mapping[str, int] | None = None,
     ) -> None:
         """Read the file; `gaps` are columns in which nan means not measured.
 
         optional: further columns, which a header may name behind the others, all or none.
-        start_s: what the times of its columns count from, subtracted from their decimals.
+        starts_s: what times count from, by column, subtracted from their decimals.
         Raises InputError at the first line that is not a full record.
         """
         self.path, self.columns = path, columns
@@ -76,8 +75,10 @@ class TextTable:
         required = [name not in gaps for name in columns]
         if not np.isfinite(self.data[:, required]).all() or np.isinf(self.data).any():
             self._explain(text)
-        for place in [at for at, name in enumerate(columns) if start_s and name in _TIMES]:
-            self.data[:, place] = seconds_after(self._words(records, place), start_s)
+        for name, start_s in (starts_s or {}).items():
+            if start_s:
+                place = columns.index(name)
+                self.data[:, place] = seconds_after(self._words(records, place), start_s)
 
     def __getitem__(self, column: str) -> Array:
         """One column (N,) by name."""

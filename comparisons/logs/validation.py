@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import Any, Self, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.arrays import Array, Index, Mask
+from comparisons.arrays import Array, Mask
 from comparisons.errors import RecordError
+from comparisons.logs.schema import ANY, SIGMA, ArrayField, Limits, RecordTable
 
 LARGEST = 1e10
 """Beyond this no time, length, speed or angle of a drive lies; squares of it stay finite."""
-LEAST_SIGMA = 1e-7
-"""Of a measurement, in whatever unit: smaller ones are mistakes."""
 LARGEST_ID = 2**53
 """Beyond this whole numbers are not exact as floating point."""
-
-
-class Stream:
-    """Records in the order of time, columns of which are arrays of one length."""
-
-    def chosen(self, rows: Mask | Index) -> Self:
-        """The same with some of its rows; what is one for all of them stays."""
-        own = cast(Any, self)
-        columns = {
-            field.name: value[rows]
-            for field in fields(own)
-            if isinstance(value := getattr(own, field.name), np.ndarray)
-            and len(value) == len(own.time_s)
-            and field.name != "angle_rad"
-        }
-        return cast(Self, replace(own, **columns))
 
 
 def frozen(value: object) -> Array:
@@ -42,34 +24,72 @@ def frozen(value: object) -> Array:
     return array
 
 
-def check(
-    record: object,
-    stream: str,
-    rows: str,
-    gaps: tuple[str, ...] = (),
-    **shapes: tuple[int, ...] | None,
-) -> None:
-    """Freeze the arrays; check their shapes against the stream's length, and that all are finite.
+def check(record: object, table: RecordTable) -> None:
+    """Freeze a record's arrays, and check them as its table declares.
 
-    gaps: columns in which NaN means not measured. shapes: each row's shape, None to leave alone.
+    Raises:
+        RecordError: Of the first fault: a shape, a number that is not finite or beyond `LARGEST`,
+            times that fall, a value outside its limits, a covariance, an id that comes twice.
     """
-    kept: dict[str, NDArray[Any]] = {}
-    for name in (field.name for field in fields(record)):  # type: ignore[arg-type]
-        if isinstance(value := getattr(record, name), np.ndarray | list):
-            ids = name in ("id", "landmark")
-            kept[name] = whole_numbers(stream, name, np.array(value)) if ids else frozen(value)
-            kept[name].flags.writeable = False
-            object.__setattr__(record, name, kept[name])
-    count = len(getattr(record, rows))
-    for name, array in kept.items():
-        shape = shapes.get(name, ())
-        if shape is not None and array.shape != (count, *shape):
-            expected = (count, *shape)
-            raise RecordError(stream, None, f"{name} has shape {array.shape}, expected {expected}")
-        bad = np.isinf(array) if name in gaps else ~np.isfinite(array)
-        refuse(stream, bad, name, array, "a finite number")
-        if name not in ("id", "landmark", "intensity"):
-            refuse(stream, np.abs(array) > LARGEST, name, array, f"at most {LARGEST:g}")
+    arrays = [_array(record, table.name, part) for part in table.fields]
+    lengths: dict[int | str, int] = {"N": len(arrays[0])}
+    for place, part in enumerate(table.fields):
+        if not len(arrays[place]) and part.is_optional:
+            arrays[place] = frozen(np.full(lengths["N"], np.nan))
+        object.__setattr__(record, part.name, arrays[place])
+    for part, array in zip(table.fields, arrays, strict=True):
+        _check_shape(table.name, part, array, lengths)
+        bad = np.isinf(array) if part.has_gaps else ~np.isfinite(array)
+        refuse(table.name, bad, part.name, array, "a finite number")
+        if part.is_bounded:
+            refuse(table.name, np.abs(array) > LARGEST, part.name, array, f"at most {LARGEST:g}")
+    if table.order:
+        increasing(table.name, arrays[0], equal=table.order == "not falling")
+    for part, array in zip(table.fields, arrays, strict=True):
+        _check_values(table.name, part, array)
+
+
+def _array(record: object, stream: str, part: ArrayField) -> NDArray[Any]:
+    value = getattr(record, part.name)
+    if not part.is_whole:
+        return frozen(value)
+    array = whole_numbers(stream, part.name, np.array(value))
+    array.flags.writeable = False
+    return array
+
+
+def _check_shape(
+    stream: str, part: ArrayField, array: NDArray[Any], lengths: dict[int | str, int]
+) -> None:
+    """lengths: of axes by name; those without a length take that of the array."""
+    if array.ndim == len(part.shape):
+        for axis, length in zip(part.shape, array.shape, strict=True):
+            lengths.setdefault(axis, length)
+    expected = tuple(axis if isinstance(axis, int) else lengths.get(axis) for axis in part.shape)
+    if array.shape != expected:
+        raise RecordError(stream, None, f"{part.name} has shape {array.shape}, expected {expected}")
+
+
+def _check_values(stream: str, part: ArrayField, array: NDArray[Any]) -> None:
+    if part.is_covariance:
+        _check_covariance(stream, part, array)
+        return
+    for column in part.columns if len(part.shape) == 1 else ():
+        if column.limits != ANY:
+            refuse_outside(stream, part.name, array, column.limits)
+        if column.is_distinct:
+            distinct(stream, array)
+
+
+def _check_covariance(stream: str, part: ArrayField, covariance: Array) -> None:
+    if part.has_gaps:
+        unknown = np.asarray(np.isnan(covariance))
+        missing = np.asarray(unknown.all(axis=(1, 2)))
+        partial = np.flatnonzero(unknown.any(axis=(1, 2)) & ~missing)
+        if len(partial):
+            raise RecordError(stream, int(partial[0]), f"{part.name} is nan in part")
+        covariance = np.where(missing[:, None, None], np.eye(covariance.shape[-1]), covariance)
+    positive_definite(stream, covariance, singular=part.is_singular)
 
 
 def refuse(stream: str, bad: Mask, name: str, values: NDArray[Any], expected: str) -> None:
@@ -110,15 +130,20 @@ def increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
         )
 
 
+def refuse_outside(stream: str, name: str, values: NDArray[Any], limits: Limits) -> None:
+    """Every value must lie within limits."""
+    bad = (values < limits.low) | (values > limits.high)
+    refuse(stream, bad, name, values, limits.expected)
+
+
 def within(stream: str, name: str, values: Array, low: float, high: float) -> None:
     """Every value must lie in a closed interval."""
-    bad = (values < low) | (values > high)
-    refuse(stream, bad, name, values, f"between {low:.4g} and {high:.4g}")
+    refuse_outside(stream, name, values, Limits(low, high))
 
 
 def standard_deviation(stream: str, name: str, values: Array) -> None:
     """Sigmas must lie between 1e-7 and 1e6, in whatever unit: beyond that they are mistakes."""
-    within(stream, name, values, LEAST_SIGMA, 1e6)
+    refuse_outside(stream, name, values, SIGMA)
 
 
 def positive_definite(stream: str, covariance: Array, *, singular: bool = False) -> None:

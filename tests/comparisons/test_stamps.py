@@ -25,7 +25,7 @@ from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.grading import Grader
 from comparisons.jobs.readings import FAULT, MOTION, READINGS, stated
 from comparisons.logs import stamps
-from comparisons.logs.log import Log
+from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Prior
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
@@ -374,3 +374,22 @@ def test_a_right_filter_is_equal_on_a_ros_bag(since_1970: bool, tmp_path: Path) 
     found = slamcheck.check(log, tmp_path)
     assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
     assert present(found.trace).agreement.model.within(1e-6)
+
+
+def test_loop_closures_have_the_times_of_their_poses() -> None:
+    """Both by the same clock: else closures would be between poses that are not there."""
+    n = 9
+    time_s = np.arange(1.0, n + 1.0) / 7.0 + 0.123456789
+    log = Log(
+        name="closed",
+        format="arrays",
+        prior=Prior(0.0, np.zeros(3), np.eye(3)),
+        odometry=RelativePoses(time_s, np.ones((n, 3)), np.tile(np.eye(3), (n, 1, 1))),
+        measurements=LandmarkMeasurements.of(time_s[:2], np.ones((2, 2)), (0.1, 0.1), 0),
+        loop_closures=LoopClosures(time_s[:1], time_s[5:6], np.ones((1, 3)), np.eye(3)[None]),
+        provenance={"time_origin_s": "1700000000"},
+    )
+    moved = timed_by_floats(log)
+    assert moved.loop_closures is not None
+    assert not np.array_equal(moved.odometry.time_s, time_s)
+    assert moved.loop_closures.to_s == moved.odometry.time_s[5]

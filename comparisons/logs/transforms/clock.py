@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from decimal import Decimal
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.logs.log import Log
+from comparisons.logs.schema import STREAMS
 from comparisons.logs.stamps import resolved
-
-_STREAMS = ("odometry", "measurements", "positions", "known_measurements", "scans", "clouds")
 
 
 def file_start(log: Log) -> Decimal:
@@ -33,14 +33,13 @@ def timed_by_floats(log: Log) -> Log:
         return resolved(np.array([float(Decimal(stamp) - start) for stamp in stamps]))
 
     changed: dict[str, Any] = {}
-    for name in _STREAMS:
-        stream = getattr(log, name)
-        if stream is not None:
-            changed[name] = replace(stream, time_s=by_floats(stream.time_s))
+    for stream in STREAMS:
+        record = attrgetter(stream.field)(log)
+        if record is not None and record.table.times:
+            times = {name: by_floats(getattr(record, name)) for name in record.table.times}
+            changed[stream.field] = replace(record, **times)
     prior_s = float(by_floats(np.array([log.prior.time_s]))[0])
-    poses = log.truth.poses
-    if poses is not None:
-        poses = replace(poses, time_s=by_floats(poses.time_s))
+    poses = changed.pop("truth.poses", None)
     return replace(
         log,
         prior=replace(log.prior, time_s=prior_s),

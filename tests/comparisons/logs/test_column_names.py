@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.logs.column_names import NAMES, UNITS, column_of, known_unit, meaning, parted
+from comparisons.logs.column_names import column_of, known_unit, meaning, parted, usual_name
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.odometry import VelocityOdometry
+from comparisons.logs.schema import COLUMNS, UNITS
 from tests.commands import slamcheck
 
 STATED: dict[str, float | str] = {
@@ -28,8 +29,8 @@ NAMED = {
 def files(folder: Path, odometry: str = ODOMETRY, trees: str = TREES, **more: Any) -> UserFiles:
     (folder / "wheels.csv").write_text(odometry)
     (folder / "trees.csv").write_text(trees)
-    wheels, seen = folder / "wheels.csv", folder / "trees.csv"
-    return UserFiles(name="mine", odometry=wheels, measurements=seen, stated=STATED, **more)
+    paths = {"odometry": folder / "wheels.csv", "measurements": folder / "trees.csv"}
+    return UserFiles(name="mine", paths=paths, stated=STATED, **more)
 
 
 def test_a_user_says_which_header_has_a_column(tmp_path: Path) -> None:
@@ -122,12 +123,12 @@ def test_no_name_means_two_columns_of_a_file() -> None:
     for wanted in (odometry, trees):
         for one, other in product(wanted, repeat=2):
             if one != other:
-                assert column_of(NAMES[one][0], (other,)) is None, (one, other)
+                assert column_of(usual_name(one), (other,)) is None, (one, other)
 
 
 @pytest.mark.parametrize("header", ["cov11", "nsecs", "range_x", "time_zone", "w2", "vehicle", ""])
 def test_other_names_mean_nothing(header: str) -> None:
-    assert meaning(header, tuple(NAMES)) is None
+    assert meaning(header, tuple(COLUMNS)) is None
 
 
 def test_units_are_those_of_their_column() -> None:

@@ -81,11 +81,11 @@ def own(
 ) -> Log:
     (folder / "odometry.csv").write_text(odometry)
     (folder / "posts.csv").write_text(seen)
+    paths = {"odometry": folder / "odometry.csv", "measurements": folder / "posts.csv"}
     return build(
         UserFiles(
             name="own",
-            odometry=folder / "odometry.csv",
-            measurements=folder / "posts.csv",
+            paths=paths | more.pop("paths", {}),
             stated=SIGMAS | (WHEELS if stated is None else stated),
             **more,
         )

@@ -191,7 +191,7 @@ def test_fixes_are_laid_onto_the_odometry(kind: str, tmp_path: Path) -> None:
     """In the frame of the start, whatever the odometry; the first are spent on its heading."""
     drive = bagpy(MESSAGES["nav_msgs/Odometry"], odometry())
     stated = WHEELS if kind == "velocity" else {"sigma_move_m": 0.005, "sigma_turn": 0.002}
-    log = read(tmp_path, drive, stated, positions=fixes(tmp_path))
+    log = read(tmp_path, drive, stated, paths={"positions": fixes(tmp_path)})
     assert log.positions is not None
     assert 10 < len(log.positions.time_s) < COUNT - 1
     k = np.round(log.positions.time_s / STEP_S).astype(int)
@@ -209,7 +209,7 @@ def test_poses_with_covariance_are_positions(tmp_path: Path) -> None:
         tmp_path,
         bagpy(MESSAGES["nav_msgs/Odometry"], odometry()),
         WHEELS,
-        positions=tmp_path / "amcl.csv",
+        paths={"positions": tmp_path / "amcl.csv"},
     )
     assert log.positions is not None
     assert np.allclose(log.positions.covariance, 0.04 * np.eye(2))

@@ -30,10 +30,10 @@ WHEELS = {"sigma_speed_mps": 0.1, "sigma_turn": 0.02}
 def files(folder: Path, odometry: str = VELOCITY, trees: str = TREES, **more: Any) -> UserFiles:
     (folder / "odo.csv").write_text(odometry)
     (folder / "trees.csv").write_text(trees)
+    paths = {"odometry": folder / "odo.csv", "measurements": folder / "trees.csv"}
     return UserFiles(
         name="mine",
-        odometry=folder / "odo.csv",
-        measurements=folder / "trees.csv",
+        paths=paths | more.pop("paths", {}),
         stated=more.pop("stated", SIGMAS | WHEELS),
         **more,
     )
@@ -84,7 +84,9 @@ def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
     assert "left out: 1 of 3 measurements, repeated (first at line 3)" in notes
     (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0,1,2\n1,2,2\n")
     stated = SIGMAS | WHEELS | {"sigma_m": 0.5}
-    positions = build(files(tmp_path, stated=stated, positions=tmp_path / "gps.csv")).log.positions
+    positions = build(
+        files(tmp_path, stated=stated, paths={"positions": tmp_path / "gps.csv"})
+    ).log.positions
     assert positions is not None
     assert positions.time_s.tolist() == [0.0, 1.0]
 
@@ -505,3 +507,15 @@ def test_the_page_can_be_followed(tmp_path: Path) -> None:
     space: dict[str, Any] = {}
     exec(code, space)  # noqa: S102
     assert space["log"].provenance["labels"] == '{"oak": 0, "elm": 1}'
+
+
+def test_a_column_of_sigmas_of_positions_is_read(tmp_path: Path) -> None:
+    """As the message for a missing one says; a sigma that is stated besides is refused."""
+    (tmp_path / "gps.csv").write_text("t,x,y,sigma_cm\n0,0,0,50\n1,1,0,30\n")
+    paths = {"positions": tmp_path / "gps.csv"}
+    positions = build(files(tmp_path, paths=paths)).log.positions
+    assert positions is not None
+    assert np.allclose(positions.covariance[:, 0, 0], [0.25, 0.09])
+    assert np.array_equal(positions.covariance, positions.covariance[:, ::-1, ::-1])
+    with pytest.raises(InputError, match="--sigma-position: the file of --positions gives its own"):
+        build(files(tmp_path, paths=paths, stated=SIGMAS | WHEELS | {"sigma_m": 0.5}))

@@ -51,8 +51,7 @@ def written(folder: Path, offset_ns: int, late: int = 0, tum: bool = False) -> U
         truth.write_text("\n".join(["t_ns,x,y,yaw", *(f"{t},{x},2,0" for t, x in poses)]) + "\n")
     return UserFiles(
         name="mine",
-        odometry=folder / "odometry.csv",
-        measurements=folder / "trees.csv",
+        paths={"odometry": folder / "odometry.csv", "measurements": folder / "trees.csv"},
         stated={**SIGMAS, "sigma_turn": 0.02},
         truth=partial(_read_truth, truth, {}, {}),
     )
