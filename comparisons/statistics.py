@@ -1,4 +1,4 @@
-"""Chi-square bands, normalised squared errors, whiteness, gaps of covariances: of any filter.
+"""Chi-square bands, normalised squared errors, whiteness: of any filter.
 
 Quantiles are from scipy.special, for scipy.stats takes 0.3 s to load; each is the expression that
 scipy.stats itself evaluates, so the values are equal to the bit.
@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, computed_field, with_config
-from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
@@ -40,16 +39,10 @@ Of 40 numbers at 10 lags, 0.6 % of white series have a p-value below 0.1 %; at 2
 ROUNDING = 1e-6
 """Largest algebra and model gap, in sigma and in covariance, that rounding explains, unless a wide
 prior explains more."""
-SINGULAR = 1e-11
-"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
 _IMPROBABLE, _PROBABLE = 1e-6, 1e-2
 """Chance of a first error by a prior whose rows are in the wrong order, and by the right one."""
-_NONE = 1e-30
-"""A variance, in whatever unit, that is none: rounding of what is known exactly."""
-DENSE = 2000
-"""States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
 
 def chi2_quantile(probability: Any, dof: Any) -> Any:
@@ -538,88 +531,3 @@ def _first_chance(error: Array, prior: Array, left: Array) -> float:
     with np.errstate(divide="ignore"):  # of the true error nothing is left
         squared, dof, _ = normalised_difference(error[None], prior[None], left[None])
     return chi2_tail(float(squared[0]), int(dof[0])) if dof[0] else 1.0
-
-
-class CovarianceGap(NamedTuple):
-    """largest: |lambda - 1| of the pair's generalised eigenvalues, or the asymmetry if it is more.
-
-    least: of the eigenvalues. asymmetry: of either covariance, in products of two units.
-    """
-
-    largest: float
-    least: float
-    asymmetry: float
-
-
-def covariance_gap(
-    first: Array, second: Array, unit: Array, singular: float = 0.0
-) -> CovarianceGap:
-    """Compare two covariances (n, n).
-
-    unit: (n,) standard deviations. singular: eigenvalue of the second's correlation matrix, over
-    the largest, below which it has no inverse, as with a clone: there the first's entries count.
-    """
-    scale = np.outer(unit, unit)
-    skew = max(float(np.max(np.abs(p - p.T) / scale)) for p in (first, second))
-    even, beside = 0.5 * (first + first.T), 0.0
-    if singular and np.isfinite(first).all() and np.isfinite(second).all():
-        a = even / scale
-        values, axes = np.linalg.eigh(second / scale)
-        some = values > singular * values[-1]
-        root = axes[:, some] / np.sqrt(values[some])
-        beside = float(np.abs(a @ axes[:, ~some]).max(initial=0.0))
-        even, second = root.T @ a @ root, np.eye(root.shape[1])
-    low, high = eigenvalue_range(even, second)
-    return CovarianceGap(max(abs(low - 1.0), abs(high - 1.0), skew, beside), low, skew)
-
-
-def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
-    """Least and largest generalised eigenvalue of a covariance pair.
-
-    (-inf, inf) when `second` is not positive definite or either is not finite: no comparison of
-    such a pair may pass. (1, 1) of no entries, as where no direction has a variance.
-    """
-    if not len(first):
-        return 1.0, 1.0
-    try:
-        if len(first) > DENSE:
-            return _extremes(first, second)
-        values = eigh(first, second, eigvals_only=True)
-    except (LinAlgError, ValueError):
-        return float("-inf"), float("inf")
-    return float(values[0]), float(values[-1])
-
-
-def _extremes(first: Array, second: Array) -> tuple[float, float]:
-    """Return the same by Lanczos iterations, on what the pair differs by: cubic work is left out.
-
-    Raises as eigh; the ends are good to 1e-3 of their distance from one.
-    """
-    from scipy.sparse.linalg import ArpackError, eigsh
-
-    root = cholesky(second, lower=True)
-    half = solve_triangular(root, first, lower=True)
-    apart = solve_triangular(root, half.T, lower=True)
-    apart[np.diag_indices_from(apart)] -= 1.0
-    apart = 0.5 * (apart + apart.T)
-    start = np.random.default_rng(0).standard_normal(len(apart))
-    try:
-        low, high = (
-            eigsh(apart, k=1, which=end, v0=start, tol=1e-3, return_eigenvectors=False)[0]
-            for end in ("SA", "LA")
-        )
-    except ArpackError:
-        low, high = eigvalsh(apart)[[0, -1]]
-    return 1.0 + float(low), 1.0 + float(high)
-
-
-def units(recorded: Array, expected: Array, least: Array | None = None) -> Array:
-    """Return the standard deviations (n,) that differences are measured in.
-
-    least: (n,) variances; below them it is rounding what there is.
-    """
-    variance = np.maximum(expected.diagonal(), 0.0)
-    other = np.abs(recorded.diagonal())
-    variance = np.where(variance > _NONE, variance, np.where(other > _NONE, other, 1.0))
-    found: Array = np.sqrt(variance if least is None else np.maximum(variance, least))
-    return found

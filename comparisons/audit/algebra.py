@@ -21,15 +21,15 @@ from comparisons.audit.replay import (
     LongFormReplay,
     Replay,
     Unlike,
-    apart,
     check_gain,
 )
+from comparisons.covariances import entry_differences, units
 from comparisons.explain.events import MOST_REPLAYED, EventCause, KnownFault, localise
 from comparisons.faults.of_angles import told_gain
 from comparisons.faults.of_corrections import name_correction, name_gain
 from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import continued
-from comparisons.statistics import ROUNDING, units
+from comparisons.statistics import ROUNDING
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -379,7 +379,8 @@ class AlgebraCheck:
         if self._open:
             wrong = self._is_wrong_for_any_gain(recorded, least, wrong)
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
-            slight = bool(apart(recorded, right, least).max() < _SLIGHT)
+            difference = np.abs(entry_differences(recorded, right, least)).max()
+            slight = bool(difference < _SLIGHT)
             wrong = self._localise(snapshot, -1.0 if slight else 0.0)
         else:
             self._confirm(None)
@@ -440,8 +441,7 @@ class AlgebraCheck:
         least: variances that are rounding. rounding: along any direction, in products of two
         sigmas, if it is more than usual.
         """
-        scale = np.outer(unit := units(recorded, right, least), unit)
-        off = (recorded - right) / scale
+        off = entry_differences(recorded, right, least)
         largest = float(np.abs(off).max())
         if not largest <= self.tolerance:
             return True
@@ -449,7 +449,8 @@ class AlgebraCheck:
         rounding = max(usual, rounding)
         if len(off) * largest <= rounding:
             return False
-        allowed = self.tolerance * right / scale + rounding * np.eye(len(off))
+        unit = units(recorded, right, least)
+        allowed = self.tolerance * right / np.outer(unit, unit) + rounding * np.eye(len(off))
         off = 0.5 * (off + off.T)
         return not all(_definite(allowed + sign * off) for sign in (1.0, -1.0))
 
@@ -468,7 +469,8 @@ class AlgebraCheck:
                 again.apply(event)
                 other.apply(event)
             right = again.covariance[at][:, at]
-            forms = float(apart(right, other.covariance[at][:, at], least).max())
+            between = entry_differences(right, other.covariance[at][:, at], least)
+            forms = float(np.abs(between).max())
         if self._differs(recorded, right, least, _FORMS * forms):
             return True
         self.replay.covariance = again.covariance
@@ -546,7 +548,7 @@ class AlgebraCheck:
                     rank, beyond = len(update.residual) - 1, _beyond(update, fused)
             least = self._least(tuple(again.layout.dims))
             unit = units(recorded, again.covariance, least)
-            off = (recorded - again.covariance) / np.outer(unit, unit)
+            off = entry_differences(recorded, again.covariance, least)
             if rank and beyond is not None:
                 off -= np.outer(beyond / unit, beyond / unit)
         if not np.isfinite(off).all():

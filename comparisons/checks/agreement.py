@@ -16,9 +16,10 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigvalsh
 
 from comparisons.arrays import Array, Index
+from comparisons.covariances import covariance_gap, eigenvalue_range, units
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure, LeftOut, Less, Mark, Nominal, at, number
-from comparisons.statistics import ROUNDING, chi2_quantile, covariance_gap, eigenvalue_range, units
+from comparisons.statistics import ROUNDING, chi2_quantile
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
 from ekf_reference.core.layout import Layout

@@ -33,12 +33,13 @@ from comparisons.checks.agreement import (
     lost_of,
     rounding_of,
 )
+from comparisons.covariances import covariance_gap, units
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.clock import Clock
 from comparisons.shown import Brief
-from comparisons.statistics import ROUNDING, covariance_gap, units
+from comparisons.statistics import ROUNDING
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal

@@ -18,6 +18,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
 from comparisons.checks.diagnosis.trace_recursion import BATCHES, LinearReplay, replay
+from comparisons.covariances import entry_differences
 from comparisons.estimates.stored_precision import SINGLE, restored
 from comparisons.plane import pose_difference
 from ekf_reference.core.landmark_types import POINT
@@ -149,7 +150,7 @@ def _grown(run: EkfRun, exact: LinearReplay) -> tuple[float, float]:
     sigma = np.sqrt(exact.covariance[:, (0, 1, 2), (0, 1, 2)])
     size = np.abs(pose_difference(run.departed, exact.pose) / sigma).max(axis=1)
     have = run.estimate.pose_covariance
-    spread = np.abs(have - exact.covariance) / (sigma[:, :, None] * sigma[:, None, :])
+    spread = np.abs(entry_differences(have, exact.covariance))
     size = np.fmax(size, spread.max(axis=(1, 2)))
     part = max(1, len(size) // 10)
     return float(np.median(size[1 : 1 + part])), float(np.median(size[-part:]))

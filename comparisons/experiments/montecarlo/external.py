@@ -21,6 +21,7 @@ from typing import IO
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.covariances import definite
 from comparisons.errors import InputError, printable, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
@@ -301,6 +302,6 @@ def _check_finite(given: ExternalEstimate) -> None:
 
 
 def _check_positive(what: str, covariance: Array, where: list[str]) -> None:
-    bad = np.flatnonzero(np.linalg.eigvalsh(covariance)[:, 0] <= 0.0)
+    bad = np.flatnonzero(~definite(covariance))
     if len(bad):
         raise EstimatorError(f"{what} covariance of {where[bad[0]]} is not positive definite")
