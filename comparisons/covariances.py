@@ -14,12 +14,8 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 
 from comparisons.arrays import Array
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import NOTHING, ROUNDING
 
-SINGULAR = 1e-11
-"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
-_NONE = 1e-30
-"""A variance, in whatever unit, that is none: rounding of what is known exactly."""
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
@@ -34,7 +30,7 @@ def units(recorded: Array, expected: Array, least: Array | None = None) -> Array
     """
     variance = np.maximum(np.diagonal(expected, 0, -2, -1), 0.0)
     other = np.abs(np.diagonal(recorded, 0, -2, -1))
-    variance = np.where(variance > _NONE, variance, np.where(other > _NONE, other, 1.0))
+    variance = np.where(variance > NOTHING, variance, np.where(other > NOTHING, other, 1.0))
     sigma: Array = np.sqrt(variance if least is None else np.maximum(variance, least))
     return sigma
 

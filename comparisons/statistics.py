@@ -36,9 +36,6 @@ _LEAST_PAIRS = 20
 _PER_LAG = 20
 """So many numbers are asked for each lag: with more lags the statistic's tail is not chi-square's.
 Of 40 numbers at 10 lags, 0.6 % of white series have a p-value below 0.1 %; at 2 lags 0.13 %."""
-ROUNDING = 1e-6
-"""Largest algebra and model gap, in sigma and in covariance, that rounding explains, unless a wide
-prior explains more."""
 _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
 _IMPROBABLE, _PROBABLE = 1e-6, 1e-2

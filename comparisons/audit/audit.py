@@ -33,12 +33,13 @@ from comparisons.audit.least_squares import AnchoredSmoother
 from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
 from comparisons.audit.uses import MeasurementUse
-from comparisons.covariances import SINGULAR, covariance_gap, entry_differences, units
+from comparisons.covariances import covariance_gap, entry_differences, units
 from comparisons.errors import InputError
 from comparisons.explain.recorded_steps import steps_of
 from comparisons.figures import Aside, Figure, package_versions
 from comparisons.innovations import SensorInnovations
-from comparisons.statistics import ROUNDING, Averaged
+from comparisons.rounding import ROUNDING, SINGULAR
+from comparisons.statistics import Averaged
 from comparisons.trace.events import (
     Augment,
     Clone,

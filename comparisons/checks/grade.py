@@ -16,10 +16,9 @@ from comparisons.config import RequiredGrade
 from comparisons.covariances import eigenvalue_ranges, relative_difference
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
-from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.plane import pose_difference
+from comparisons.rounding import ROUNDING, STORED, rounded_to_single, stored_rounding
 from comparisons.shown import Brief
-from comparisons.statistics import ROUNDING
 from ekf_reference.core.layout import Layout
 
 Grade = Literal["equal", "like", "plausible", "wrong"]
@@ -34,8 +33,6 @@ MOST_LATE_S = 0.5
 """A path that begins or ends so much inside the log's is not all of it."""
 _EXACT = 1e-6
 """Variance, by the largest on the path, of a pose that is known exactly, as a start may be."""
-_ROUNDED = 4.0
-"""Times the rounding of the reference to single precision that is still equal to it."""
 
 
 class EstimatePart(NamedTuple):
@@ -286,20 +283,15 @@ def _mean_rounding(stored: Array, mean: Array, covariance: Array) -> float:
     """Return what single precision changes of means (K, n) [sigma], where they are stored so."""
     if not stored_rounding(stored):
         return 0.0
-    return _ROUNDED * float(in_sigma(mean - _rounded(mean), covariance).max())
+    return STORED * float(in_sigma(mean - rounded_to_single(mean), covariance).max())
 
 
 def _covariance_rounding(stored: Array | None, covariance: Array) -> float:
     """Return what it changes of the eigenvalues of covariances (K, n, n), as above."""
     if stored is None or not stored_rounding(stored):
         return 0.0
-    low, high = eigenvalue_ranges(_rounded(covariance), covariance)
-    return _ROUNDED * float(relative_difference(low, high).max())
-
-
-def _rounded(array: Array) -> Array:
-    found: Array = array.astype(np.float32).astype(float)
-    return found
+    low, high = eigenvalue_ranges(rounded_to_single(covariance), covariance)
+    return STORED * float(relative_difference(low, high).max())
 
 
 def _missing(reference: Reference) -> Sequence[str]:

@@ -11,8 +11,8 @@ from comparisons.arrays import Array, Index
 from comparisons.errors import InputError, outdated_format, quoted
 from comparisons.estimates.event_arrays import PlanarEvents, event_arrays
 from comparisons.estimates.landmark_names import LandmarkNames
-from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST
+from comparisons.rounding import stored_rounding
 from comparisons.trace.reader import TraceReader
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (

@@ -15,7 +15,6 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.covariances import (
-    SINGULAR,
     covariance_gap,
     entry_differences,
     largest_pair,
@@ -32,6 +31,7 @@ from comparisons.faults.of_events import (
 )
 from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import Substitution, continued
+from comparisons.rounding import SINGULAR
 from comparisons.trace.events import (
     Blocks,
     Directions,

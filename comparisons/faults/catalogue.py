@@ -13,7 +13,7 @@ from comparisons.faults.fault import Family, Fault, moving, together
 from comparisons.faults.streams import STABILISATION, stream_faults, with_prior
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 
 NAMED = tuple(
     fault._replace(name=name)

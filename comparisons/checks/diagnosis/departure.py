@@ -14,7 +14,7 @@ from comparisons.covariances import relative_difference
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.reference import Reference
 from comparisons.logs.log import Log
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 
 _CHECK_MOTION = ": check the prediction and the prior"
 _NAMED = 4

@@ -16,20 +16,16 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
+from comparisons.checks.agreement import Gap, Gaussian, gap
 from comparisons.checks.diagnosis.trace_recursion import BATCHES, LinearReplay, replay
 from comparisons.covariances import entry_differences
-from comparisons.estimates.stored_precision import SINGLE, restored
 from comparisons.plane import pose_difference
+from comparisons.rounding import FACTOR, OPERATIONS, SINGLE, Allowed, restored
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
 from graphslam.marginals import SingularProblemError
 
 _DRAWS = 5
-FACTOR = 3.0
-"""What storing did may be so many times the largest of what the draws did."""
-OPERATIONS = 4.0
-"""A formula computed in single precision is off by so many times what storing its result does."""
 _FAR = 30.0
 """A gap of more times what one draw did is not explained by the largest of several."""
 _ALIKE = 10.0
