@@ -1,4 +1,7 @@
-"""Chi-square bands, normalised squared errors, whiteness: of any filter.
+"""The judge of consistency: NEES, NIS, whiteness, their bands, chances and words, of any filter.
+
+`run`, `check`, `audit`, `compare` and Monte Carlo ask here whether squared errors, innovations and
+their correlations are what a sound filter has, and by which band.
 
 Quantiles are from scipy.special, for scipy.stats takes 0.3 s to load; each is the expression that
 scipy.stats itself evaluates, so the values are equal to the bit.
@@ -8,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +21,11 @@ from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 from comparisons.arrays import Array, Index
 from comparisons.figures import Aside, Figure, Key, LeftOut, Nominal, OfDof, Share95
 
-_OUTSIDE = 0.05
-"""Of the figures that a band is for, as many lie outside, half of them on either side."""
+LEVEL, OUTSIDE = 0.95, 0.05
+"""Of the figures that a band is for, as many lie inside, and outside, half of these on either side.
+"""
+Place = Literal["below", "inside", "above"]
+_READINGS: dict[Place, str] = {"below": "too low", "inside": "plausible", "above": "too high"}
 WORDS = 0.001
 """Share of sound runs of which words say that they leave a band of NIS, whichever."""
 _SKEW = 1e-6
@@ -60,6 +66,14 @@ def two_sided(value: float, dof: float) -> float:
     return float(min(1.0, 2.0 * min(chdtr(dof, value), chdtrc(dof, value))))
 
 
+def chance_of_sum(total: float, dof: float, least: float = 1.0) -> float:
+    """Return the two-sided chance of a sum of chi-square with that many degrees of freedom.
+
+    least: of the expected sum, what is left of it at least where a gate took large ones away.
+    """
+    return two_sided(total if total >= dof else min(total / least, dof), dof)
+
+
 def f_quantile(probability: float, dof: float, dof_below: float) -> float:
     """Value that an F variable stays below with a probability. dof_below: of the denominator."""
     return float(fdtri(dof, dof_below, probability))
@@ -75,8 +89,18 @@ class Band(NamedTuple):
         """Neither end is passed; never true for NaN."""
         return self.low <= value <= self.high
 
+    def place(self, value: float) -> Place:
+        """Return on which side a figure is; NaN is above."""
+        if self.holds(value):
+            return "inside"
+        return "below" if value < self.low else "above"
 
-def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
+    def reading(self, value: float) -> str:
+        """Return what the figure is in words: `plausible`, `too high` or `too low`."""
+        return _READINGS[self.place(value)]
+
+
+def mean_band(count: float, dof: float, outside: float = OUTSIDE) -> Band:
     """Of the mean of `count` independent chi-square variables with `dof` degrees of freedom.
 
     chi2_quantile(q, R d) / R (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2). Everything lies
@@ -119,6 +143,19 @@ class Normalised:
     squared: Aside[Array]
 
 
+def squared_distance(error: Array, covariance: Array) -> Array:
+    """Return e^T P^-1 e (N,) of errors (N, d) by covariances (N, d, d)."""
+    solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+    squared: Array = np.einsum("ni,ni->n", error, solved)
+    return squared
+
+
+def inside(squared: Array, dof: Index) -> NDArray[np.bool_]:
+    """Return which squared errors (N,) are in the 95 % band of one. dof: (N,), or one for all."""
+    low, high = (chi2_quantile(share, dof) for share in (0.5 * OUTSIDE, 1.0 - 0.5 * OUTSIDE))
+    return np.asarray((squared >= low) & (squared <= high))
+
+
 def normalise(error: Array, covariance: Array) -> Normalised:
     """Errors (N, d) by covariances (N, d, d), which must be symmetric and positive definite.
 
@@ -130,15 +167,14 @@ def normalise(error: Array, covariance: Array) -> Normalised:
     e, p = error[row], covariance[row]
     sigma = np.sqrt(np.einsum("nii->ni", p))
     e, p = e / sigma, p / (sigma[:, :, None] * sigma[:, None])
-    squared = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[:, :, None])[:, :, 0])
-    low, high = single = mean_band(1, error.shape[1])
-    within, some = (squared >= low) & (squared <= high), len(row) > 0
+    squared, some = squared_distance(e, p), len(row) > 0
+    within = inside(squared, np.asarray(error.shape[1]))
     return Normalised(
         dof=error.shape[1],
         count=len(row),
         mean=float(squared.mean()) if some else None,
         last=float(squared[-1]) if some else None,
-        single_band=single,
+        single_band=mean_band(1, error.shape[1]),
         inside=float(within.mean()) if some else None,
         unusable=counted(fault),
         row=row,
@@ -195,17 +231,12 @@ class Nis:
     @property
     def reading(self) -> str:
         """What the average says, in a word or two."""
-        return self._reading(self.band)
+        return self.band.reading(self.mean)
 
     def worded(self, outside: float) -> tuple[str, Band]:
         """Return the reading by the band that so many sound runs leave, and that band."""
         band = mean_band(self.count, self.dof, outside)
-        return self._reading(band), band
-
-    def _reading(self, band: Band) -> str:
-        if band.holds(self.mean):
-            return "plausible"
-        return "too low" if self.mean < band.low else "too high"
+        return band.reading(self.mean), band
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,9 +24,9 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
-from comparisons.plane import pose_difference, rms, squared_distance
+from comparisons.plane import pose_difference, rms
 from comparisons.shown import Brief
-from comparisons.statistics import chi2_quantile
+from comparisons.statistics import chi2_quantile, squared_distance
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01

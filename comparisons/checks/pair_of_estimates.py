@@ -12,8 +12,9 @@ from comparisons.covariances import definite
 from comparisons.errors import InputError, quoted
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.stamps import at_instants
-from comparisons.plane import pose_difference, rms, squared_distance
+from comparisons.plane import pose_difference, rms
 from comparisons.shown import render
+from comparisons.statistics import squared_distance
 
 if TYPE_CHECKING:
     from pandas import DataFrame
