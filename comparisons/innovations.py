@@ -25,15 +25,22 @@ from scipy.special import betaincinv, gammainc, gammaincinv
 
 from comparisons.arrays import Array, Index
 from comparisons.figures import Aside, Key, Mark
-from comparisons.statistics import Nis, Whiteness, average, faults, mean_band, whiteness
+from comparisons.statistics import (
+    OUTSIDE,
+    Band,
+    Nis,
+    Whiteness,
+    average,
+    faults,
+    mean_band,
+    whiteness,
+)
 from comparisons.trace.events import SensorDescription
 from comparisons.words import Row
 
 MOST_WINDOWS = 60
 """So many averages over a run are drawn."""
 _LEAST_IN_WINDOW = 10
-_BEYOND = 0.05
-"""Bands that are printed leave so many sound runs outside."""
 NO_SENSOR = SensorDescription(None, ())
 
 Mask = NDArray[np.bool_]
@@ -91,16 +98,16 @@ class Gating:
         return int(ends[first[at]]), int(ends[end[at]]), int(end[at] - first[at])
 
     @property
-    def band(self) -> tuple[float, float] | None:
+    def band(self) -> Band | None:
         """Shares of rejections that 95 % of sound runs have, about, by the beta distribution."""
         n = len(self.event)
         if self.passes is None or not n:
             return None
         mean = n * (1.0 - self.passes)
         low, high = (
-            betaincinv(mean + 0.5, n - mean + 0.5, q) for q in (0.5 * _BEYOND, 1.0 - 0.5 * _BEYOND)
+            betaincinv(mean + 0.5, n - mean + 0.5, q) for q in (0.5 * OUTSIDE, 1.0 - 0.5 * OUTSIDE)
         )
-        return float(low), float(high)
+        return Band(float(low), float(high))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +134,7 @@ class InnovationFigures:
                 f"NIS of {n.name}, mean (expected {n.dof})",
                 f"{n.mean:.3g}",
                 f"{n.band[0]:.3g} to {n.band[1]:.3g}",
-                n.band[0] <= n.mean <= n.band[1],
+                n.band.holds(n.mean),
             )
             for n in self.nis
         ]

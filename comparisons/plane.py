@@ -30,10 +30,3 @@ def in_own_axes(departed: Array, arrived: Array) -> Array:
 def rms(error: Array) -> float:
     """Return the root mean square length of vectors (K, d)."""
     return float(np.sqrt(np.square(error).sum(axis=1).mean()))
-
-
-def squared_distance(error: Array, covariance: Array) -> Array:
-    """Return e^T P^-1 e (N,) of errors (N, d) by covariances (N, d, d)."""
-    solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
-    found: Array = np.einsum("ni,ni->n", error, solved)
-    return found

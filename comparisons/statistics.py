@@ -1,4 +1,7 @@
-"""Chi-square bands, normalised squared errors, whiteness, gaps of covariances: of any filter.
+"""The judge of consistency: NEES, NIS, whiteness, their bands, chances and words, of any filter.
+
+`run`, `check`, `audit`, `compare` and Monte Carlo ask here whether squared errors, innovations and
+their correlations are what a sound filter has, and by which band.
 
 Quantiles are from scipy.special, for scipy.stats takes 0.3 s to load; each is the expression that
 scipy.stats itself evaluates, so the values are equal to the bit.
@@ -8,19 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, computed_field, with_config
-from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
 from comparisons.figures import Aside, Figure, Key, LeftOut, Nominal, OfDof, Share95
 
-_OUTSIDE = 0.05
-"""Of the figures that a band is for, as many lie outside, half of them on either side."""
+LEVEL, OUTSIDE = 0.95, 0.05
+"""Of the figures that a band is for, as many lie inside, and outside, half of these on either side.
+"""
+Place = Literal["below", "inside", "above"]
+_READINGS: dict[Place, str] = {"below": "too low", "inside": "plausible", "above": "too high"}
 WORDS = 0.001
 """Share of sound runs of which words say that they leave a band of NIS, whichever."""
 _SKEW = 1e-6
@@ -37,19 +42,10 @@ _LEAST_PAIRS = 20
 _PER_LAG = 20
 """So many numbers are asked for each lag: with more lags the statistic's tail is not chi-square's.
 Of 40 numbers at 10 lags, 0.6 % of white series have a p-value below 0.1 %; at 2 lags 0.13 %."""
-ROUNDING = 1e-6
-"""Largest algebra and model gap, in sigma and in covariance, that rounding explains, unless a wide
-prior explains more."""
-SINGULAR = 1e-11
-"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
 _IMPROBABLE, _PROBABLE = 1e-6, 1e-2
 """Chance of a first error by a prior whose rows are in the wrong order, and by the right one."""
-_NONE = 1e-30
-"""A variance, in whatever unit, that is none: rounding of what is known exactly."""
-DENSE = 2000
-"""States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
 
 def chi2_quantile(probability: Any, dof: Any) -> Any:
@@ -70,6 +66,14 @@ def two_sided(value: float, dof: float) -> float:
     return float(min(1.0, 2.0 * min(chdtr(dof, value), chdtrc(dof, value))))
 
 
+def chance_of_sum(total: float, dof: float, least: float = 1.0) -> float:
+    """Return the two-sided chance of a sum of chi-square with that many degrees of freedom.
+
+    least: of the expected sum, what is left of it at least where a gate took large ones away.
+    """
+    return two_sided(total if total >= dof else min(total / least, dof), dof)
+
+
 def f_quantile(probability: float, dof: float, dof_below: float) -> float:
     """Value that an F variable stays below with a probability. dof_below: of the denominator."""
     return float(fdtri(dof, dof_below, probability))
@@ -85,8 +89,18 @@ class Band(NamedTuple):
         """Neither end is passed; never true for NaN."""
         return self.low <= value <= self.high
 
+    def place(self, value: float) -> Place:
+        """Return on which side a figure is; NaN is above."""
+        if self.holds(value):
+            return "inside"
+        return "below" if value < self.low else "above"
 
-def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
+    def reading(self, value: float) -> str:
+        """Return what the figure is in words: `plausible`, `too high` or `too low`."""
+        return _READINGS[self.place(value)]
+
+
+def mean_band(count: float, dof: float, outside: float = OUTSIDE) -> Band:
     """Of the mean of `count` independent chi-square variables with `dof` degrees of freedom.
 
     chi2_quantile(q, R d) / R (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2). Everything lies
@@ -129,6 +143,19 @@ class Normalised:
     squared: Aside[Array]
 
 
+def squared_distance(error: Array, covariance: Array) -> Array:
+    """Return e^T P^-1 e (N,) of errors (N, d) by covariances (N, d, d)."""
+    solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+    squared: Array = np.einsum("ni,ni->n", error, solved)
+    return squared
+
+
+def inside(squared: Array, dof: Index) -> NDArray[np.bool_]:
+    """Return which squared errors (N,) are in the 95 % band of one. dof: (N,), or one for all."""
+    low, high = (chi2_quantile(share, dof) for share in (0.5 * OUTSIDE, 1.0 - 0.5 * OUTSIDE))
+    return np.asarray((squared >= low) & (squared <= high))
+
+
 def normalise(error: Array, covariance: Array) -> Normalised:
     """Errors (N, d) by covariances (N, d, d), which must be symmetric and positive definite.
 
@@ -140,15 +167,14 @@ def normalise(error: Array, covariance: Array) -> Normalised:
     e, p = error[row], covariance[row]
     sigma = np.sqrt(np.einsum("nii->ni", p))
     e, p = e / sigma, p / (sigma[:, :, None] * sigma[:, None])
-    squared = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[:, :, None])[:, :, 0])
-    low, high = single = mean_band(1, error.shape[1])
-    within, some = (squared >= low) & (squared <= high), len(row) > 0
+    squared, some = squared_distance(e, p), len(row) > 0
+    within = inside(squared, np.asarray(error.shape[1]))
     return Normalised(
         dof=error.shape[1],
         count=len(row),
         mean=float(squared.mean()) if some else None,
         last=float(squared[-1]) if some else None,
-        single_band=single,
+        single_band=mean_band(1, error.shape[1]),
         inside=float(within.mean()) if some else None,
         unusable=counted(fault),
         row=row,
@@ -205,17 +231,12 @@ class Nis:
     @property
     def reading(self) -> str:
         """What the average says, in a word or two."""
-        return self._reading(self.band)
+        return self.band.reading(self.mean)
 
     def worded(self, outside: float) -> tuple[str, Band]:
         """Return the reading by the band that so many sound runs leave, and that band."""
         band = mean_band(self.count, self.dof, outside)
-        return self._reading(band), band
-
-    def _reading(self, band: Band) -> str:
-        if band.holds(self.mean):
-            return "plausible"
-        return "too low" if self.mean < band.low else "too high"
+        return band.reading(self.mean), band
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -538,88 +559,3 @@ def _first_chance(error: Array, prior: Array, left: Array) -> float:
     with np.errstate(divide="ignore"):  # of the true error nothing is left
         squared, dof, _ = normalised_difference(error[None], prior[None], left[None])
     return chi2_tail(float(squared[0]), int(dof[0])) if dof[0] else 1.0
-
-
-class CovarianceGap(NamedTuple):
-    """largest: |lambda - 1| of the pair's generalised eigenvalues, or the asymmetry if it is more.
-
-    least: of the eigenvalues. asymmetry: of either covariance, in products of two units.
-    """
-
-    largest: float
-    least: float
-    asymmetry: float
-
-
-def covariance_gap(
-    first: Array, second: Array, unit: Array, singular: float = 0.0
-) -> CovarianceGap:
-    """Compare two covariances (n, n).
-
-    unit: (n,) standard deviations. singular: eigenvalue of the second's correlation matrix, over
-    the largest, below which it has no inverse, as with a clone: there the first's entries count.
-    """
-    scale = np.outer(unit, unit)
-    skew = max(float(np.max(np.abs(p - p.T) / scale)) for p in (first, second))
-    even, beside = 0.5 * (first + first.T), 0.0
-    if singular and np.isfinite(first).all() and np.isfinite(second).all():
-        a = even / scale
-        values, axes = np.linalg.eigh(second / scale)
-        some = values > singular * values[-1]
-        root = axes[:, some] / np.sqrt(values[some])
-        beside = float(np.abs(a @ axes[:, ~some]).max(initial=0.0))
-        even, second = root.T @ a @ root, np.eye(root.shape[1])
-    low, high = eigenvalue_range(even, second)
-    return CovarianceGap(max(abs(low - 1.0), abs(high - 1.0), skew, beside), low, skew)
-
-
-def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
-    """Least and largest generalised eigenvalue of a covariance pair.
-
-    (-inf, inf) when `second` is not positive definite or either is not finite: no comparison of
-    such a pair may pass. (1, 1) of no entries, as where no direction has a variance.
-    """
-    if not len(first):
-        return 1.0, 1.0
-    try:
-        if len(first) > DENSE:
-            return _extremes(first, second)
-        values = eigh(first, second, eigvals_only=True)
-    except (LinAlgError, ValueError):
-        return float("-inf"), float("inf")
-    return float(values[0]), float(values[-1])
-
-
-def _extremes(first: Array, second: Array) -> tuple[float, float]:
-    """Return the same by Lanczos iterations, on what the pair differs by: cubic work is left out.
-
-    Raises as eigh; the ends are good to 1e-3 of their distance from one.
-    """
-    from scipy.sparse.linalg import ArpackError, eigsh
-
-    root = cholesky(second, lower=True)
-    half = solve_triangular(root, first, lower=True)
-    apart = solve_triangular(root, half.T, lower=True)
-    apart[np.diag_indices_from(apart)] -= 1.0
-    apart = 0.5 * (apart + apart.T)
-    start = np.random.default_rng(0).standard_normal(len(apart))
-    try:
-        low, high = (
-            eigsh(apart, k=1, which=end, v0=start, tol=1e-3, return_eigenvectors=False)[0]
-            for end in ("SA", "LA")
-        )
-    except ArpackError:
-        low, high = eigvalsh(apart)[[0, -1]]
-    return 1.0 + float(low), 1.0 + float(high)
-
-
-def units(recorded: Array, expected: Array, least: Array | None = None) -> Array:
-    """Return the standard deviations (n,) that differences are measured in.
-
-    least: (n,) variances; below them it is rounding what there is.
-    """
-    variance = np.maximum(expected.diagonal(), 0.0)
-    other = np.abs(recorded.diagonal())
-    variance = np.where(variance > _NONE, variance, np.where(other > _NONE, other, 1.0))
-    found: Array = np.sqrt(variance if least is None else np.maximum(variance, least))
-    return found

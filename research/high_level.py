@@ -27,10 +27,10 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
-from comparisons.experiments.montecarlo.statistics import anees_band
 from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
+from comparisons.statistics import mean_band, squared_distance
 from ekf_reference.core.geometry import wrap_angle
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ def errors(log: Log, run: EkfRun) -> Array:
     error = run.departed - poses.at(time_s)
     error[:, 2] = wrap_angle(error[:, 2])
     covariance = run.estimate.pose_covariance[1:]
-    nees = np.einsum("ki,ki->k", error[1:], np.linalg.solve(covariance, error[1:, :, None])[..., 0])
+    nees = squared_distance(error[1:], covariance)
     later = time_s > LOOP_S
 
     def rms(rows: NDArray[np.bool_]) -> tuple[float, float]:
@@ -96,7 +96,7 @@ def value_of_landmarks(seeds: Sequence[int], loops: int, every_s: float) -> None
     pair = shown(*error.mean(axis=0))
     print(f"mean  {found:5.1f}  {kept:4.1f}  {measured:8.1f}   {pair}")
     print("looks: " + ", ".join(f"{n} {name}" for name, n in looks.most_common()))
-    low, high = anees_band(len(seeds), 3)
+    low, high = mean_band(len(seeds), 3)
     print(f"NEES: 95 % band of the mean at one instant {low:.2f} to {high:.2f}")
     if len(seeds) > 1:
         print("\n".join(judged(error[:, 1] - error[:, 0])))

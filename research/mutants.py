@@ -73,6 +73,7 @@ GROUPS = {
             *("comparisons/checks/optimum.py", "comparisons/checks/grade.py"),
             *("comparisons/checks/qualifiers.py", "comparisons/checks/external_agreement.py"),
             *("comparisons/checks/association.py", "comparisons/statistics.py"),
+            "comparisons/covariances.py",
             "comparisons/checks/consistency/*.py",
         ),
         (

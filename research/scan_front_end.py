@@ -18,7 +18,6 @@ from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
@@ -28,6 +27,7 @@ from comparisons.extensions.scan_motion.job import run_front_end
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.readers import read_log
+from comparisons.statistics import mean_band
 from graphslam.scan import planar
 from graphslam.scan.libraries import kiss_icp
 from graphslam.scan.odometry import ScanOdometry
@@ -111,7 +111,7 @@ def honesty(name: str, seeds: int) -> None:
         squared = normalised_errors(motion, present(log.truth.poses))
         runs.append(float(squared.mean()))
         drifts.append(drift(log, motion))
-    low, high = chi2.ppf((0.025, 0.975), 3 * seeds) / seeds
+    low, high = mean_band(seeds, 3)
     print(
         f"{name}, {seeds} seeds: NEES {np.mean(runs):.2f} (runs {min(runs):.2f} to "
         f"{max(runs):.2f}; band {low:.2f} to {high:.2f}); drift {100 * np.mean(drifts):.2f} % of "

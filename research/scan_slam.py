@@ -30,7 +30,7 @@ from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_drive import ScanExperiment, scan_slam, simulate
 from comparisons.logs.simulate.scanners import Planar
 from comparisons.settings import run_config
-from comparisons.statistics import chi2_quantile
+from comparisons.statistics import mean_band
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_matching.alignment_covariance import scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
@@ -115,7 +115,7 @@ def summary(rows: list[ScanSlamDrive]) -> None:
         interval, band = f"{value.mean() - half:.3g} to {value.mean() + half:.3g}", ""
         if name in NEES:
             dof = NEES[name] * count
-            low, high = (chi2_quantile(p, dof) / dof for p in (0.025, 0.975))
+            low, high = mean_band(dof, 1)
             band = f"{low:.2f} to {high:.2f}"
         print(f"{name:18} {value.mean():9.3g} {interval:>22} {band:>16} {value.max():9.3g}")
     below = sum(row.ratio < 0.1 for row in rows)

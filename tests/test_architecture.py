@@ -330,6 +330,7 @@ def test_a_module_that_nothing_reaches_is_found() -> None:
 
 LAYERS = {
     "arrays": 0, "errors": 0, "atomic": 0, "archive": 0, "words": 0, "plane": 0, "statistics": 0,
+    "covariances": 0, "rounding": 0,
     "figures": 0, "shown": 0, "trace": 0, "innovations": 0, "extension_names": 0,
     "logs": 1, "options": 1,
     "config": 2, "documented": 2, "estimates": 2,

@@ -21,15 +21,27 @@ from comparisons.audit.replay import (
     LongFormReplay,
     Replay,
     Unlike,
-    apart,
     check_gain,
 )
+from comparisons.covariances import entry_differences, units
 from comparisons.explain.events import MOST_REPLAYED, EventCause, KnownFault, localise
 from comparisons.faults.of_angles import told_gain
 from comparisons.faults.of_corrections import name_correction, name_gain
 from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import continued
-from comparisons.statistics import ROUNDING, units
+from comparisons.rounding import (
+    ALL_BUT,
+    BESIDE,
+    FORMS,
+    LEFT,
+    LOST,
+    NOTHING,
+    ROUNDING,
+    SINGLE_SIGMA,
+    VANISHED,
+    along_directions,
+    stored_rounding,
+)
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -56,25 +68,8 @@ _REMEMBERED = 64
 """Events before a snapshot whose matrices may have been used in place of a later one's."""
 _SMALL = 0.01
 """A correction, in radians, below which a reset may as well be the identity."""
-_SINGLE = 1e-3
-"""Sigmas of what rounding leaves of covariances in single precision."""
-_OF_DOUBLE, _OF_SINGLE = 1e-9, 2.0**-23
-"""Of a covariance in products of two sigmas, along any direction, as rounding; in single precision
-so much by entry."""
-_FORMS = 10.0
-"""Rounding is at most so many times what two forms of the update differ by."""
 _SLIGHT = 1e-3
 """Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
-_LOST = 64 * float(np.finfo(float).eps)
-"""Of an estimate's numbers, as rounding."""
-_ALL_BUT, _VANISHED, _BESIDE = 1e-9, 1e-13, 1e-5
-"""Of the variance before an update: what is left by one that tells nearly all; of what cancels in
-it, what is left by one that tells all, and the unit in which that is measured, for it is rounding.
-"""
-_LEFT = 4 * float(np.finfo(float).eps)
-"""Of the largest variance that an entry has had, what is left where an update tells all."""
-_NOTHING = 1e-30
-"""A variance, in whatever unit, that is rounding of nothing."""
 _UNTOLD = "and the covariance is compared with nothing: record the gains"
 _OF_EVENTS = ("noise", "use", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
@@ -319,7 +314,7 @@ class AlgebraCheck:
             return
         was, now, layout = before.diagonal(), p.diagonal(), self.replay.layout
         unit = np.maximum(was, 0.0 if self._rounding is None else self._rounding)
-        grown = now > was + self.tolerance * unit + _NOTHING
+        grown = now > was + self.tolerance * unit + NOTHING
         if not grown.any():
             return
         left = np.eye(len(event.noise)) - event.jacobian @ gain[layout.columns(event.blocks)]
@@ -379,7 +374,8 @@ class AlgebraCheck:
         if self._open:
             wrong = self._is_wrong_for_any_gain(recorded, least, wrong)
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
-            slight = bool(apart(recorded, right, least).max() < _SLIGHT)
+            difference = np.abs(entry_differences(recorded, right, least)).max()
+            slight = bool(difference < _SLIGHT)
             wrong = self._localise(snapshot, -1.0 if slight else 0.0)
         else:
             self._confirm(None)
@@ -397,14 +393,14 @@ class AlgebraCheck:
     def _note_known(self, before: Array, fused: Fused) -> None:
         """Note entries of which an update leaves nothing but rounding. before: P before it."""
         was, now = before.diagonal(), self.replay.covariance.diagonal()
-        if not (now <= _ALL_BUT * was).any():
+        if not (now <= ALL_BUT * was).any():
             return
         # What cancels in P - K S K^T is as large as this, more than P where K is.
         spread = np.sqrt(np.maximum(fused.spread.diagonal(), 0.0))
         size = np.maximum(was, (np.abs(fused.gain) @ spread) ** 2)
-        known = now <= np.maximum(_VANISHED * size, _LEFT * self._largest)
+        known = now <= np.maximum(VANISHED * size, LEFT * self._largest)
         old = np.zeros(len(was)) if self._rounding is None else self._rounding
-        self._rounding = np.where(known, np.maximum(_BESIDE * size, old), old)
+        self._rounding = np.where(known, np.maximum(BESIDE * size, old), old)
 
     def _carry(self, variances: Array, event: Event) -> Array:
         """Return bounds of variances (n,) after an event that makes no entry more certain."""
@@ -440,16 +436,15 @@ class AlgebraCheck:
         least: variances that are rounding. rounding: along any direction, in products of two
         sigmas, if it is more than usual.
         """
-        scale = np.outer(unit := units(recorded, right, least), unit)
-        off = (recorded - right) / scale
+        off = entry_differences(recorded, right, least)
         largest = float(np.abs(off).max())
         if not largest <= self.tolerance:
             return True
-        usual = len(off) * _OF_SINGLE if _is_single(recorded) else _OF_DOUBLE
-        rounding = max(usual, rounding)
+        rounding = max(along_directions(recorded), rounding)
         if len(off) * largest <= rounding:
             return False
-        allowed = self.tolerance * right / scale + rounding * np.eye(len(off))
+        unit = units(recorded, right, least)
+        allowed = self.tolerance * right / np.outer(unit, unit) + rounding * np.eye(len(off))
         off = 0.5 * (off + off.T)
         return not all(_definite(allowed + sign * off) for sign in (1.0, -1.0))
 
@@ -468,8 +463,9 @@ class AlgebraCheck:
                 again.apply(event)
                 other.apply(event)
             right = again.covariance[at][:, at]
-            forms = float(apart(right, other.covariance[at][:, at], least).max())
-        if self._differs(recorded, right, least, _FORMS * forms):
+            between = entry_differences(right, other.covariance[at][:, at], least)
+            forms = float(np.abs(between).max())
+        if self._differs(recorded, right, least, FORMS * forms):
             return True
         self.replay.covariance = again.covariance
         return False
@@ -546,7 +542,7 @@ class AlgebraCheck:
                     rank, beyond = len(update.residual) - 1, _beyond(update, fused)
             least = self._least(tuple(again.layout.dims))
             unit = units(recorded, again.covariance, least)
-            off = (recorded - again.covariance) / np.outer(unit, unit)
+            off = entry_differences(recorded, again.covariance, least)
             if rank and beyond is not None:
                 off -= np.outer(beyond / unit, beyond / unit)
         if not np.isfinite(off).all():
@@ -658,7 +654,7 @@ class AlgebraCheck:
             sigma: Array = np.sqrt(np.where(variance > 0.0, variance, 1.0))
             off = value - expected
             off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))  # an angle may go round
-            allowed = self.tolerance * sigma + _LOST * np.abs(value)
+            allowed = self.tolerance * sigma + LOST * np.abs(value)
             if not (np.abs(off) <= allowed).all():
                 wrong.append(name)
                 largest = max(largest, float((np.abs(off) / sigma).max()))
@@ -674,11 +670,11 @@ class AlgebraCheck:
 
     def note_precision(self, number: int, *matrices: Array | None) -> None:
         """Propose another tolerance where what differs at an event is of single precision."""
-        if self._proposed or self.tolerance >= _SINGLE:
+        if self._proposed or self.tolerance >= SINGLE_SIGMA:
             return
-        if any(matrix is not None and _is_single(matrix) for matrix in matrices):
+        if any(matrix is not None and stored_rounding(matrix) for matrix in matrices):
             self._proposed = True
-            text = f"the filter is in single precision: audit it with --tolerance {_SINGLE:g}"
+            text = f"the filter is in single precision: audit it with --tolerance {SINGLE_SIGMA:g}"
             self.add(AuditFinding("precision", False, text, number), "single")
 
     def _localise(self, snapshot: Snapshot, weight: float) -> bool:
@@ -817,13 +813,6 @@ def faults_of(events: Iterable[Event], tolerance: float) -> tuple[str, ...]:
         for event in events:
             check.take(event)
         return check.faults()
-
-
-def _is_single(matrix: Array) -> bool:
-    """Whether all numbers are of single precision, and not of a few digits alone."""
-    return bool(
-        (matrix == matrix.astype(np.float32)).all() and (matrix != matrix.astype("f2")).any()
-    )
 
 
 def _definite(matrix: Array) -> bool:

@@ -30,14 +30,16 @@ from comparisons.audit.error_curves import BlockErrorCurve, ErrorCurves
 from comparisons.audit.estimate_figures import EstimateFigures, EstimateKind, figures_of_steps
 from comparisons.audit.explained import ExplainedInnovations, explained_innovations
 from comparisons.audit.least_squares import AnchoredSmoother
-from comparisons.audit.replay import BlockLayout, Fused, apart
+from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
 from comparisons.audit.uses import MeasurementUse
+from comparisons.covariances import covariance_gap, entry_differences, units
 from comparisons.errors import InputError
 from comparisons.explain.recorded_steps import steps_of
 from comparisons.figures import Aside, Figure, package_versions
 from comparisons.innovations import SensorInnovations
-from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, units
+from comparisons.rounding import ROUNDING, SINGULAR
+from comparisons.statistics import Averaged
 from comparisons.trace.events import (
     Augment,
     Clone,
@@ -339,8 +341,8 @@ class _Pass:
         marginal = self.smoother.marginal()
         self._gap(snapshot, marginal, algebra.replay.layout.columns(snapshot.blocks))
         if algebra.sound and algebra.optimal:
-            scaled = apart(algebra.replay.covariance, marginal.covariance)
-            self.agreement = max(self.agreement, float(scaled.max()))
+            scaled = entry_differences(algebra.replay.covariance, marginal.covariance)
+            self.agreement = max(self.agreement, float(np.abs(scaled).max()))
         if self.snapshots % self.every == 0:
             self.smoother.keep(snapshot.number, marginal)
 

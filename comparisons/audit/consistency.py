@@ -28,9 +28,11 @@ from comparisons.innovations import (
 )
 from comparisons.statistics import (
     Averaged,
+    Band,
     Nis,
     Whiteness,
     averaged,
+    chance_of_sum,
     chi2_tail,
     faults,
     likelier_orders,
@@ -39,7 +41,6 @@ from comparisons.statistics import (
     rarest,
     rarity,
     stretch,
-    two_sided,
 )
 from comparisons.trace.events import (
     Augment,
@@ -351,7 +352,7 @@ class BlockErrors:
             some = [rows[i] for i in part]
             mean = sum(row[2] for row in some) / sum(row[3] for row in some)
             dof = whole.dof / count
-            p = two_sided(mean * dof, dof)
+            p = chance_of_sum(mean * dof, dof)
             if mean > 1.0 and p < level / count:
                 first, last = (_named(*row[:2]) for row in (some[0], some[-1]))
                 text = (
@@ -492,19 +493,14 @@ def departures(sensor: SensorInnovations, level: float) -> list[ConsistencyDepar
 def _mean(nis: Nis, sensor: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
     whole = nis is sensor.nis[0]
     dof = float(sensor.dof.sum()) if whole else float(nis.count)
-    p = _chance(nis.mean * nis.count, dof, sensor.least)
+    p = chance_of_sum(nis.mean * nis.count, dof, sensor.least)
     if p >= level:
         return []
     right = dof / nis.count
     what = "NIS" if whole else f"NIS of {nis.name}"
-    text = f"{what} is {_word(nis.mean, right)}: {nis.mean:.3g}, expected {right:.3g}"
+    text = f"{what} is {Band(right, right).reading(nis.mean)}: {nis.mean:.3g}, expected {right:.3g}"
     weight = rarity(nis.mean / right, dof)
     return [ConsistencyDeparture(text, p, weight=_WHOLE * weight if whole else weight)]
-
-
-def _chance(total: float, dof: float, least: float) -> float:
-    """Two-sided chance of a sum of chi-square. least: of the expected one, if a gate took more."""
-    return two_sided(total if total >= dof else min(total / least, dof), dof)
 
 
 def _bias(column: Array, label: str, level: float) -> list[ConsistencyDeparture]:
@@ -532,7 +528,9 @@ def _in_windows(
     """The first stretch that leaves its band, with the event at which it begins to."""
     out = []
     for part in windows:
-        p = _chance(float(sensor.squared[part].sum()), float(sensor.dof[part].sum()), sensor.least)
+        p = chance_of_sum(
+            float(sensor.squared[part].sum()), float(sensor.dof[part].sum()), sensor.least
+        )
         if p < level:
             out.append((part, p))
     if not out:
@@ -542,7 +540,7 @@ def _in_windows(
     first = max(0, int(part[0]) - len(part))  # it may have begun in the window before
     start = first + onset(sensor.squared[first : part[-1] + 1], mean, right)
     text = (
-        f"NIS is {_word(mean, right)} from {sensor.time_s[start]:.6g} to "
+        f"NIS is {Band(right, right).reading(mean)} from {sensor.time_s[start]:.6g} to "
         f"{sensor.time_s[last[-1]]:.6g}: {mean:.3g}, expected {right:.3g}"
     )
     until, weight = int(sensor.event[last[-1]]), rarity(mean / right, float(sensor.dof[part].sum()))
@@ -606,7 +604,3 @@ def _series(gating: Gating, level: float) -> ConsistencyDeparture | None:
 def _named(event: int, time_s: float) -> str:
     """The time of an event, or its number where events have no times."""
     return f"event {event:,}" if time_s == event else f"{time_s:.6g} s"
-
-
-def _word(mean: float, right: float) -> str:
-    return "too high" if mean > right else "too low"

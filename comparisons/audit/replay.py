@@ -15,7 +15,6 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from comparisons.arrays import Array, Index
-from comparisons.statistics import units
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -294,26 +293,6 @@ class LongFormReplay(Replay):
         less[:, self.layout.columns(event.blocks)] -= gain @ event.jacobian
         p = less @ self.covariance @ less.T + gain @ event.noise @ gain.T
         self.covariance = 0.5 * (p + p.T)
-
-
-def apart(recorded: Array, expected: Array, least: Array | None = None) -> Array:
-    """Return the differences (n, n) of two covariances, in units of the expected sigmas.
-
-    A variance that is expected to be zero has the recorded one as its unit. least: (n,) variances
-    that are rounding.
-    """
-    unit = units(recorded, expected, least)
-    scaled: Array = np.abs(recorded - expected) / (unit[:, None] * unit)
-    return scaled
-
-
-def largest_pair(scaled: Array, blocks: Blocks, dims: tuple[int, ...]) -> tuple[str, str]:
-    """Return the two blocks between which differences (n, n) are largest; the same one twice."""
-    starts = np.cumsum([0, *dims[:-1]])
-    by_block = np.maximum.reduceat(np.maximum.reduceat(scaled, starts, axis=0), starts, axis=1)
-    by_block = np.maximum(by_block, by_block.T)
-    i, j = np.unravel_index(int(np.argmax(by_block)), by_block.shape)
-    return blocks[min(i, j)], blocks[max(i, j)]
 
 
 class Unlike(NamedTuple):

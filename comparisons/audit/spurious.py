@@ -25,6 +25,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import BlockLayout, Replay
 from comparisons.figures import Aside, Figure
+from comparisons.rounding import UNOBSERVED
 from comparisons.shown import brief
 from comparisons.trace.events import (
     Augment,
@@ -48,8 +49,6 @@ PARTS = 100
 """Into which the updates are divided to find where most was learnt."""
 MOST_POINTS = 400
 """Of the curve, its start apart."""
-ROUNDING = 1e-18
-"""Of what the sensors could tell if they were not blind: information below it is rounding."""
 MOST_BLOCKS = 24
 MOST_EVENTS = 1_000
 """Of a stretch. With more blocks each event costs more; with fewer, there are more stretches."""
@@ -260,7 +259,7 @@ class SpuriousInformation:
         A direction of which all is rounding is left out: known to nobody, it explains nothing.
         """
         found = np.zeros(len(information))
-        some = np.flatnonzero(np.diag(information) > ROUNDING * self._gross)
+        some = np.flatnonzero(np.diag(information) > UNOBSERVED * self._gross)
         for i in some.tolist():
             others = some[some != i]
             across = information[i, others]

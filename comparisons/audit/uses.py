@@ -15,11 +15,10 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.innovations import NO_SENSOR, InnovationLog
+from comparisons.rounding import SAME_NUMBER
 from comparisons.statistics import chi2_quantile
 from comparisons.trace.events import Directions, Event, SensorDescription, Snapshot, Update
 
-_SAME = 1e-9
-"""Of a residual and of what a correction takes off it: rounding."""
 _SMALL = 1e-9
 """Sigmas of a residual that tells nothing, as of data without noise."""
 _ALIKE = 1e-2
@@ -117,7 +116,7 @@ class MeasurementUse:
                 continue
             size = np.abs(earlier.residual).max() + np.abs(left).max()
             exact = np.array_equal(earlier.jacobian, event.jacobian)
-            if exact and np.abs(event.residual - left).max() <= _SAME * size:
+            if exact and np.abs(event.residual - left).max() <= SAME_NUMBER * size:
                 what = f"fuses the measurement of event {earlier.number} again: its residual is "
                 what += "that one's less H times the correction"
             elif _is_numbered(earlier, event):

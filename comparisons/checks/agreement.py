@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
@@ -16,16 +16,15 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigvalsh
 
 from comparisons.arrays import Array, Index
+from comparisons.covariances import covariance_gap, eigenvalue_range, units
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure, LeftOut, Less, Mark, Nominal, at, number
-from comparisons.statistics import ROUNDING, chi2_quantile, covariance_gap, eigenvalue_range, units
+from comparisons.rounding import ROUNDING, Allowed
+from comparisons.statistics import chi2_quantile
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
 from ekf_reference.core.layout import Layout
 
-LOST = 64 * float(np.finfo(float).eps)
-"""Share of a variance that a filter loses to rounding at most: ten times what filters of 20 to 120
-states lost when their prior was wide."""
 LARGEST_DISTANCE = 1.0
 """A block agrees when the filter deviates by no more than the optimum itself is uncertain."""
 _FEW = 200
@@ -66,76 +65,6 @@ class Gaussian:
         """Yield these with the ids of the landmarks."""
         parts = self.blocks(kind)
         yield from zip(self.ids.get(kind, np.arange(len(parts))), parts, strict=True)
-
-
-@dataclass(frozen=True)
-class Allowed:
-    """The largest gap that rounding explains, in sigma and in covariance.
-
-    stored: the rounding is that of a filter's records, which were stored in single precision.
-    """
-
-    sigma: float = ROUNDING
-    covariance: float = ROUNDING
-    stored: bool = False
-
-    @property
-    def largest(self) -> float:
-        """The larger of both."""
-        return max(self.sigma, self.covariance)
-
-    def at_least(self, lost: float) -> Allowed:
-        """Return what this explains as well in both; NaN explains nothing."""
-        return self.at_least_of(Allowed(lost, lost)) if lost > ROUNDING else self
-
-    def at_least_of(self, other: Allowed) -> Allowed:
-        """Return what this or another explains."""
-        return replace(
-            self,
-            sigma=max(self.sigma, other.sigma),
-            covariance=max(self.covariance, other.covariance),
-        )
-
-    def times(self, factor: float) -> Allowed:
-        """Return so many times as much."""
-        return Allowed(factor * self.sigma, factor * self.covariance, self.stored)
-
-    def plus(self, other: Allowed) -> Allowed:
-        """Return what both explain together; it is of storing."""
-        return Allowed(self.sigma + other.sigma, self.covariance + other.covariance, stored=True)
-
-
-EXACT = Allowed()
-"""What rounding explains where everything is done and stored in double precision."""
-
-
-def rounding_of(prior: Array, last: Gaussian) -> Allowed:
-    """What double precision explains where numbers far apart stand side by side.
-
-    A filter subtracts from variances as large as the prior's (3, 3), see `lost_of`. Positions lose
-    as much of their distance from the origin. last: S, the last pose and all landmarks.
-    """
-    places = np.ones(len(last.mean), dtype=bool)
-    places[last.layout.angles] = False
-    with np.errstate(invalid="ignore", divide="ignore"):
-        far = np.abs(last.mean) / np.sqrt(np.diag(last.covariance))
-    lost = lost_of(max(prior[0, 0], prior[1, 1]), prior[2, 2], last.covariance)
-    return EXACT.at_least(lost).at_least(LOST * float(far[places].max()))
-
-
-def lost_of(position: float, heading: float, last: Array) -> float:
-    """What a filter loses of what it knows best, relative, once it knew as little as this.
-
-    It loses `LOST` of the variances that it subtracts from, those of position and heading, and is
-    left with that error: of each state this is its variance over what is left of it once all others
-    are known. last: (n, n) of the last pose and all landmarks, S's.
-    """
-    large = np.maximum(np.diag(last), position)
-    large[2] = max(last[2, 2], heading)
-    try:
-        return LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
-    except np.linalg.LinAlgError:
-        return 0.0
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from comparisons.checks.agreement import EXACT, AlgebraFigures, Allowed, Gap
+from comparisons.checks.agreement import AlgebraFigures, Gap
 from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.finding import OfFilter
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import EXACT, ROUNDING, Allowed
 from comparisons.words import Cause
 
 if TYPE_CHECKING:

@@ -25,7 +25,8 @@ from comparisons.checks.association import (
     differing_measurements,
 )
 from comparisons.figures import Figure, in_sigma
-from comparisons.plane import pose_difference, rms, squared_distance
+from comparisons.plane import pose_difference, rms
+from comparisons.statistics import squared_distance
 from comparisons.words import Row
 
 if TYPE_CHECKING:

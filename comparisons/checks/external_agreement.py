@@ -17,15 +17,16 @@ from comparisons.checks.agreement import (
     LandmarkAgreement,
     VarianceBand,
 )
-from comparisons.checks.grade import MOST_LATE_S, eigenvalues, joint_rows, match_map
+from comparisons.checks.grade import MOST_LATE_S, joint_rows, match_map
+from comparisons.covariances import definite, eigenvalue_range, eigenvalue_ranges
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
-from comparisons.plane import pose_difference, rms, squared_distance
+from comparisons.plane import pose_difference, rms
 from comparisons.shown import Brief
-from comparisons.statistics import chi2_quantile, eigenvalue_range
+from comparisons.statistics import chi2_quantile, squared_distance
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01
@@ -341,7 +342,7 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: VarianceBand) 
             f"{np.degrees(rms(difference[:, 2:])):.2f} degrees (RMS)"
         )
     if given.pose_covariance is not None:
-        least, largest = eigenvalues(given.pose_covariance[at], own)
+        least, largest = eigenvalue_ranges(given.pose_covariance[at], own)
         bad = float(np.mean((least < band.least) | (largest > band.largest)))
         if bad > _MOST_OUTSIDE:
             parts.append(
@@ -382,6 +383,6 @@ def _landmark_blocks(
 def _outside(difference: Array, covariance: Array) -> float:
     """Share of the poses beyond their own region; one without a usable covariance is."""
     limit = float(chi2_quantile(_SURE, 3))
-    positive = np.linalg.eigvalsh(covariance)[:, 0] > 0.0
+    positive = definite(covariance)
     safe = np.where(positive[:, None, None], covariance, np.eye(3))
     return float(np.mean(~positive | (squared_distance(difference, safe) > limit)))

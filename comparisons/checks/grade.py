@@ -13,12 +13,12 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.verdict import Outcome
 from comparisons.config import RequiredGrade
+from comparisons.covariances import eigenvalue_ranges, relative_difference
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
-from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.plane import pose_difference
+from comparisons.rounding import ROUNDING, STORED, rounded_to_single, stored_rounding
 from comparisons.shown import Brief
-from comparisons.statistics import ROUNDING
 from ekf_reference.core.layout import Layout
 
 Grade = Literal["equal", "like", "plausible", "wrong"]
@@ -33,8 +33,6 @@ MOST_LATE_S = 0.5
 """A path that begins or ends so much inside the log's is not all of it."""
 _EXACT = 1e-6
 """Variance, by the largest on the path, of a pose that is known exactly, as a start may be."""
-_ROUNDED = 4.0
-"""Times the rounding of the reference to single precision that is still equal to it."""
 
 
 class EstimatePart(NamedTuple):
@@ -56,7 +54,7 @@ class EstimatePart(NamedTuple):
         """Means and covariances differ by no more."""
         by_mean, by_variance = self.rounding
         near = self.sigma <= sigma + by_mean
-        spread = np.maximum(np.abs(self.least - 1.0), np.abs(self.largest - 1.0))
+        spread = relative_difference(self.least, self.largest)
         return bool(near.all() and not (spread > variance + by_variance).any())
 
 
@@ -201,28 +199,6 @@ def match_map(
     )
 
 
-def eigenvalues(first: Array | None, second: Array) -> tuple[Array, Array]:
-    """Return least and largest generalised eigenvalues (K,) of covariance pairs (K, n, n).
-
-    NaN where there are none of the first. (-inf, inf) where the second are not all positive
-    definite, for no such comparison may pass. Asymmetry of the first, in the second's sigma
-    squared, counts as if it were an eigenvalue beyond one.
-    """
-    count = len(second)
-    if first is None:
-        return np.full(count, np.nan), np.full(count, np.nan)
-    try:
-        inverse = np.linalg.inv(np.linalg.cholesky(second))
-    except np.linalg.LinAlgError:
-        return np.full(count, -np.inf), np.full(count, np.inf)
-    whitened = inverse @ first @ inverse.transpose(0, 2, 1)
-    turned = whitened.transpose(0, 2, 1)
-    values = np.linalg.eigvalsh(0.5 * (whitened + turned))
-    skew = np.abs(whitened - turned).max(axis=(1, 2))
-    least, largest = np.asarray(values[:, 0], dtype=float), np.asarray(values[:, -1], dtype=float)
-    return least, np.where(skew > ROUNDING, np.fmax(largest, 1.0 + skew), largest)
-
-
 def in_sigma(difference: Array, covariance: Array) -> Array:
     """Return the largest entry (K,) of differences (K, n) in standard deviations."""
     found: Array = (np.abs(difference) / np.sqrt(np.diagonal(covariance, 0, 1, 2))).max(axis=1)
@@ -259,7 +235,7 @@ def pose_part(given: ExternalEstimate, reference: Reference) -> EstimatePart:
     own = reference.pose_covariance[at]
     difference = pose_difference(given.pose[at], reference.pose[at])
     cover = None if given.pose_covariance is None else given.pose_covariance[at]
-    ratios = eigenvalues(None if cover is None else _started(cover, own), own)
+    ratios = eigenvalue_ranges(None if cover is None else _started(cover, own), own)
     rounding = (
         _mean_rounding(given.pose[:, :2], reference.pose[at], own),
         _covariance_rounding(cover, own),
@@ -285,7 +261,7 @@ def _landmarks(
     cover = None if given.landmark_covariance is None else given.landmark_covariance[ours]
     rounding = _mean_rounding(at, theirs_at, own), _covariance_rounding(cover, own)
     return EstimatePart(
-        "landmarks", in_sigma(at - theirs_at, own), *eigenvalues(cover, own), rounding
+        "landmarks", in_sigma(at - theirs_at, own), *eigenvalue_ranges(cover, own), rounding
     )
 
 
@@ -299,7 +275,7 @@ def _joint(
     first, second = pair[0][None], pair[1][None]
     rounding = 0.0, _covariance_rounding(first, second)
     return EstimatePart(
-        "last pose and landmarks", np.zeros(1), *eigenvalues(first, second), rounding
+        "last pose and landmarks", np.zeros(1), *eigenvalue_ranges(first, second), rounding
     )
 
 
@@ -307,20 +283,15 @@ def _mean_rounding(stored: Array, mean: Array, covariance: Array) -> float:
     """Return what single precision changes of means (K, n) [sigma], where they are stored so."""
     if not stored_rounding(stored):
         return 0.0
-    return _ROUNDED * float(in_sigma(mean - _rounded(mean), covariance).max())
+    return STORED * float(in_sigma(mean - rounded_to_single(mean), covariance).max())
 
 
 def _covariance_rounding(stored: Array | None, covariance: Array) -> float:
     """Return what it changes of the eigenvalues of covariances (K, n, n), as above."""
     if stored is None or not stored_rounding(stored):
         return 0.0
-    low, high = eigenvalues(_rounded(covariance), covariance)
-    return _ROUNDED * float(max(np.abs(low - 1.0).max(), np.abs(high - 1.0).max()))
-
-
-def _rounded(array: Array) -> Array:
-    found: Array = array.astype(np.float32).astype(float)
-    return found
+    low, high = eigenvalue_ranges(rounded_to_single(covariance), covariance)
+    return STORED * float(relative_difference(low, high).max())
 
 
 def _missing(reference: Reference) -> Sequence[str]:

@@ -10,8 +10,8 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Less
-from comparisons.plane import rms, squared_distance
-from comparisons.statistics import chi2_quantile
+from comparisons.plane import rms
+from comparisons.statistics import chi2_quantile, squared_distance
 
 _CHI2_2_99 = float(chi2_quantile(0.99, 2))
 MOST_OUTSIDE = 0.05

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from comparisons.checks.agreement import EXACT, Allowed, Gap, ModelFigures
+from comparisons.checks.agreement import Gap, ModelFigures
 from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.data import DataFinding
 from comparisons.checks.finding import OfFilter
+from comparisons.rounding import EXACT, Allowed
 from comparisons.words import Cause
 
 if TYPE_CHECKING:

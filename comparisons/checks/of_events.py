@@ -267,7 +267,7 @@ def _sensor_rows(sensor: SensorInnovations) -> list[Row]:
         low, high = gating.band
         limits, inside = (
             f"{100.0 * low:.2g} to {100.0 * high:.2g} %",
-            low <= sensor.rejected / sensor.measured <= high,
+            gating.band.holds(sensor.rejected / sensor.measured),
         )
     return [*rows, Row(group, "rejected by the gate", rejected, limits, inside)]
 

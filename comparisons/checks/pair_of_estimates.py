@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.covariances import definite
 from comparisons.errors import InputError, quoted
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.stamps import at_instants
-from comparisons.plane import pose_difference, rms, squared_distance
+from comparisons.plane import pose_difference, rms
 from comparisons.shown import render
+from comparisons.statistics import squared_distance
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -162,10 +164,7 @@ def _spread(first: Array | None, second: Array | None, difference: Array, relati
 
 def if_definite(covariance: Array) -> Array:
     """Return covariances (N, d, d), N at least 1; NaN where they are not positive definite."""
-    finite = np.isfinite(covariance).all(axis=(1, 2))
-    good = np.zeros(len(covariance), dtype=bool)
-    good[finite] = np.linalg.eigvalsh(covariance[finite])[:, 0] > 0.0
-    return np.where(good[:, None, None], covariance, np.nan)
+    return np.where(definite(covariance)[:, None, None], covariance, np.nan)
 
 
 def nees_of(difference: Array, spread: Array) -> Array:

@@ -19,7 +19,7 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
-from comparisons.plane import squared_distance
+from comparisons.statistics import squared_distance
 from comparisons.words import Cause, Explanation
 from ekf_reference.models.position import PositionFixes, PositionModel
 

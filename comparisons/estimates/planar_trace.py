@@ -19,8 +19,8 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError, outdated_format, quoted
 from comparisons.estimates.landmark_names import LandmarkNames
-from comparisons.estimates.stored_precision import figures_of, stored_rounding
 from comparisons.logs.validation import LARGEST_ID
+from comparisons.rounding import stored_rounding
 from comparisons.trace import events
 from comparisons.trace.reader import TraceReader
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
@@ -40,6 +40,9 @@ TRACE, OUTDATED_TRACE = "filter.trace", "trace.npz"
 _POSE, _POINT = POSE.width, POINT.width
 _LEAST_WEIGHT = 1e-9
 """Of a part of a measurement that is fused; one that begins a landmark may have none."""
+OF_STEPS = ("prior_pose", "prior_covariance", "departed", "arrived", "f", "q")
+OF_RECORDS = ("pose", "landmark", "innovation", "jacobian_pose", "jacobian_other", "noise")
+"""What a planar filter computes, of its trace and of each of its records."""
 _NOT_OF_ONE = "has a measurement that is not of one landmark"
 _CORRELATED = "has noise that is correlated between measurements"
 
@@ -118,6 +121,24 @@ def _at_places(trace: TraceArrays, places: Index) -> TraceArrays:
         for records in (trace.measurements, trace.initialisations)
     ]
     return replace(trace, measurements=moved[0], initialisations=moved[1])
+
+
+def records_of(trace: TraceArrays) -> tuple[MeasurementRecords, ...]:
+    """Return a planar filter's records: of measurements, of new landmarks, of positions."""
+    return trace.measurements[POINT], trace.initialisations[POINT], trace.positions
+
+
+def figures_of(trace: TraceArrays) -> list[Array]:
+    """Return all that a planar filter computes: OF_STEPS, then OF_RECORDS of each of its records.
+
+    Args:
+        trace: Of x, y, heading and points.
+
+    Returns:
+        Arrays of any shapes.
+    """
+    figures = [getattr(trace, name) for name in OF_STEPS]
+    return figures + [getattr(r, name) for r in records_of(trace) for name in OF_RECORDS]
 
 
 def read_trace(path: Path) -> TraceFile:

@@ -14,7 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import apart, largest_pair
+from comparisons.covariances import (
+    covariance_gap,
+    entry_differences,
+    largest_pair,
+    units,
+)
 from comparisons.faults.formulas import alike
 from comparisons.faults.of_events import (
     LEVELS,
@@ -26,7 +31,7 @@ from comparisons.faults.of_events import (
 )
 from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import Substitution, continued
-from comparisons.statistics import SINGULAR, covariance_gap, units
+from comparisons.rounding import SINGULAR
 from comparisons.trace.events import (
     Blocks,
     Directions,
@@ -117,7 +122,7 @@ def localise(
         plain.apply(event)
     at = plain.layout.columns(snapshot.blocks)
     right = plain.covariance[at][:, at]
-    scaled = apart(snapshot.covariance, right, least)
+    scaled = np.abs(entry_differences(snapshot.covariance, right, least))
     dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     largest = float(scaled.max())
     allowed = max(tolerance, _SHARE * min(largest, 1.0)) if largest > tolerance else _PART * largest

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.covariances import entry_differences
 from comparisons.faults import algebra, data, models, noise
 from comparisons.faults.fault import Family, Fault, moving, together
 from comparisons.faults.streams import STABILISATION, stream_faults, with_prior
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 
 NAMED = tuple(
     fault._replace(name=name)
@@ -95,9 +96,8 @@ def own_start(log: Log, covariance: Array) -> Fault:
         known[f"the rows of {names} in the prior's covariance are exchanged"] = prior[
             np.ix_(order, order)
         ]
-    sigma = np.sqrt(np.diag(covariance))
     for named, other in known.items():
-        if np.abs((covariance - other) / np.outer(sigma, sigma)).max() <= ROUNDING:
+        if np.abs(entry_differences(other, covariance)).max() <= ROUNDING:
             what = named
     return Fault(what, feed=lambda log: with_prior(log, covariance))
 

@@ -16,8 +16,7 @@ from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements
-from comparisons.plane import squared_distance
-from comparisons.statistics import chi2_quantile
+from comparisons.statistics import chi2_quantile, squared_distance
 from graphslam.optimum import Optimality
 
 _MOST_SIGMA = 5.0

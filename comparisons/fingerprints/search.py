@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import get_args
 
-import numpy as np
-
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
+from comparisons.covariances import definite
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import is_setting, own_start
 from comparisons.faults.fault import Family, Fault
@@ -202,7 +201,7 @@ def _start(given: ExternalEstimate, log: Log) -> list[Fault]:
     if given.pose_covariance is None or abs(given.time_s[0] - log.prior.time_s) > CLOCK_S:
         return []
     covariance = given.pose_covariance[0]
-    positive = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] > 0.0
+    positive = definite(0.5 * (covariance + covariance.T)[None])[0]
     return [own_start(log, covariance)] if positive else []
 
 

@@ -15,7 +15,7 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.audit.consistency import event_innovations
 from comparisons.audit.own_filter import residuals_at_points, run_events
-from comparisons.checks.agreement import Agreement, Allowed, Gap, GapFigures, Gaussian, gap_figures
+from comparisons.checks.agreement import Agreement, Gap, GapFigures, Gaussian, gap_figures
 from comparisons.checks.algebra import HINT
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
@@ -29,8 +29,6 @@ from comparisons.checks.diagnosis.model_differences import (
 )
 from comparisons.checks.diagnosis.sensor_records import recorded_sensors
 from comparisons.checks.diagnosis.single_precision import (
-    FACTOR,
-    OPERATIONS,
     allowed_gap,
     allowed_of_estimate,
     computed_in_single,
@@ -45,7 +43,6 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.planar_trace import TraceFile
 from comparisons.estimates.reference import Reference
-from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.figures import Aside, Same
 from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.logs.log import Log, Positions
@@ -55,6 +52,7 @@ from comparisons.pipeline.gaps import Gaps, Optimum, compute_gaps, optimum_of
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.records import FilterRecords
+from comparisons.rounding import FACTOR, OPERATIONS, Allowed, stored_rounding
 from comparisons.trace.events import Snapshot
 from comparisons.trace.reader import TraceReader
 from ekf_reference.core.ekf import PoseReading

@@ -14,7 +14,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
-from comparisons.checks.agreement import Allowed, Gap
+from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.diagnosis.diagnosis import FEWEST
@@ -60,7 +60,7 @@ from comparisons.pipeline.known import EstimateUnderCheck, Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import SoundFilters, smoother
 from comparisons.pipeline.solve import Solution, prepare_solve
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING, Allowed
 from comparisons.words import Cause
 
 _HOPELESS_SIGMA = 30.0

@@ -65,7 +65,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration
 from comparisons.logs.stamps import at_instants
 from comparisons.pipeline.references import APART, FILTERS, ORDERS
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 from comparisons.words import Cause
 
 _EXACT_SHARE = 0.2

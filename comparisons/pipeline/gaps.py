@@ -26,19 +26,17 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.checks.agreement import (
     Agreement,
-    Allowed,
     Gap,
     Gaussian,
     compare,
-    lost_of,
-    rounding_of,
 )
+from comparisons.covariances import covariance_gap, units
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.clock import Clock
+from comparisons.rounding import FORMS, ROUNDING, Allowed, lost_of, rounding_of
 from comparisons.shown import Brief
-from comparisons.statistics import ROUNDING, covariance_gap, units
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal
@@ -57,8 +55,6 @@ Optimum = tuple[SmootherEvidence, Estimate]
 """S with its evidence, and as an estimate."""
 Solver = Callable[[SlamProblem, Array], Optimum]
 """Gives S of a problem whose poses are of times (K,)."""
-_LOST = 10.0
-"""Times what a sound recursion loses to rounding, which a filter may lose."""
 PAYS_FROM = 120_000
 """Poses and measurements from which F1 and F2 are worth a second process."""
 
@@ -83,7 +79,9 @@ class Gaps(Brief):
     @cached_property
     def rounding(self) -> Allowed:
         """What double precision explains of the algebra and the model gap."""
-        return rounding_of(self.problem.prior_covariance, Gaussian.of(self.smoothed))
+        last = Gaussian.of(self.smoothed)
+        prior = self.problem.prior_covariance
+        return rounding_of(prior, last.mean, last.covariance, last.layout.angles)
 
     @cached_property
     def algebra_rounding(self) -> Allowed:
@@ -154,7 +152,7 @@ class Gaps(Brief):
         unit = units(other, exact)
         lost = covariance_gap(other, exact, unit).largest
         mean = float(np.max(np.abs(errors) / unit))
-        return self.rounding.at_least_of(Allowed(_LOST * mean, _LOST * lost))
+        return self.rounding.at_least_of(Allowed(FORMS * mean, FORMS * lost))
 
     def solved(self, trace: TraceArrays) -> Gaussian:
         """F1 of other records of the same run."""

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from comparisons.checks.agreement import Allowed
 from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.pipeline.gaps import Gaps
+from comparisons.rounding import Allowed
 from comparisons.shown import Brief
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.audit.replay import apart
 from comparisons.config import EkfConfig
+from comparisons.covariances import entry_differences
 from comparisons.logs.log import LandmarkMeasurements, Log
 from comparisons.logs.simulate.drive import point_measurements, simulate
 from comparisons.logs.simulate.worlds import LandmarkWorld
@@ -158,7 +158,8 @@ def gap(whole: Ekf, local: Ekf) -> float:
     """The largest difference of two filters' means and covariances, in sigmas of the first."""
     sigma = np.sqrt(whole.state.covariance.diagonal())
     off: Array = np.abs(whole.state.mean - local.state.mean) / sigma
-    return float(max(off.max(), apart(local.state.covariance, whole.state.covariance).max()))
+    spread = np.abs(entry_differences(local.state.covariance, whole.state.covariance))
+    return float(max(off.max(), spread.max()))
 
 
 def _claims(found: Costs) -> Claims:

@@ -13,7 +13,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.logs.log import Log
-from comparisons.plane import squared_distance
+from comparisons.statistics import squared_distance
 from ekf_reference.dense.layers.layer import LayerSamples
 
 SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0

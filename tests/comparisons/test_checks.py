@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons import statistics
+from comparisons import covariances, statistics
 from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
 from comparisons.checks.agreement import (
     BlockAgreement,
@@ -17,8 +17,8 @@ from comparisons.checks.agreement import (
 from comparisons.checks.check import Answers
 from comparisons.checks.registry import OF_FILTER
 from comparisons.checks.verdict import Verdict, judge
+from comparisons.covariances import eigenvalue_range
 from comparisons.jobs.run import Comparison, OwnRecords
-from comparisons.statistics import eigenvalue_range
 from ekf_reference.core.layout import Layout
 from graphslam.optimum import Optimality, Stationarity, chi_square_test
 from tests.helpers import compared, present, random_covariance, simulated
@@ -307,7 +307,7 @@ def test_the_ends_of_many_eigenvalues_are_those_of_all(
     spread = 1.0 + apart * np.linspace(-0.7, 1.0, 120) ** 3
     first = root @ (turned * spread) @ turned.T @ root.T
     every = np.array(eigenvalue_range(first, second)) - 1.0
-    monkeypatch.setattr(statistics, "DENSE", 10)
+    monkeypatch.setattr(covariances, "DENSE", 10)
     ends = np.array(eigenvalue_range(first, second)) - 1.0
     assert np.allclose(ends, every, rtol=1e-2, atol=0.0)
     assert not np.allclose(0.9 * ends, every, rtol=1e-2, atol=0.0)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.agreement import Allowed
 from comparisons.checks.check import Check, Question
 from comparisons.checks.explaining import CheckDropouts, Explaining
 from comparisons.checks.finding import Absent, Finding
@@ -32,6 +31,7 @@ from comparisons.report.html.page import page
 from comparisons.report.job import Report, report_of
 from comparisons.report.panels import known_panels
 from comparisons.report.run import RunReport, run_rows
+from comparisons.rounding import Allowed
 from comparisons.words import Cause
 from tests.commands import refused, works
 from tests.helpers import altered, compared, present, simulated

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.checks.agreement import EXACT
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.faults.fault import with_state
@@ -16,6 +15,7 @@ from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.run import RunReport
+from comparisons.rounding import EXACT
 from comparisons.settings import configure
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState

@@ -23,6 +23,7 @@ from comparisons.checks.consistency.finding import (
     smoothed_rows,
 )
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
+from comparisons.covariances import units
 from comparisons.innovations import SensorInnovations, whiten_alone
 from comparisons.statistics import (
     BlockDeparture,
@@ -496,4 +497,4 @@ def test_single_values_lie_in_the_band_of_one() -> None:
 
 def test_differences_are_measured_in_what_is_expected_else_in_what_is_recorded() -> None:
     recorded, expected = np.diag((4.0, 9.0, 0.0)), np.diag((1.0, 0.0, -1.0))
-    assert statistics.units(recorded, expected).tolist() == [1.0, 3.0, 1.0]
+    assert units(recorded, expected).tolist() == [1.0, 3.0, 1.0]

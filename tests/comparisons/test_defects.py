@@ -11,7 +11,7 @@ from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Fault, Method, Plant, observing, stepping
 from comparisons.faults.models import h_times
 from comparisons.jobs.run import Modified
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements
 from ekf_reference.core.state import KalmanState

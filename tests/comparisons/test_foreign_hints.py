@@ -5,11 +5,11 @@ import pytest
 
 from comparisons.checks.algebra import HINT
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
-from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
 from comparisons.explain.hypotheses import Quantity, instead, named, scaled
 from comparisons.faults.fault import Method, moving
 from comparisons.jobs.external_trace import TraceCheck
 from comparisons.jobs.run import Modified
+from comparisons.rounding import SINGLE, restored, stored_rounding
 from ekf_reference.models.motion import MotionStep
 from research.trust.hints import IN_SINGLE, HintCase, checked, hint_parts, simulated
 from research.trust.stranger_faults import FORGETFUL, HINTS, StrangerFault

@@ -16,8 +16,8 @@ from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
+from comparisons.rounding import ROUNDING
 from comparisons.settings import run_config
-from comparisons.statistics import ROUNDING
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
 from ekf_reference.core.trace import Trace

@@ -21,7 +21,7 @@ from comparisons.arrays import Array
 from comparisons.audit.audit import Audit
 from comparisons.checks.of_events import audit_trace
 from comparisons.report.audit import AuditReport
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 from comparisons.trace.recorder import Recorder
 from tests.fuzz.drawn import Ending, try_all
 

@@ -23,9 +23,9 @@ from comparisons.statistics import (
     SquaredErrors,
     averaged,
     block_departure,
-    chi2_quantile,
     counted,
     faults,
+    inside,
     normalised_difference,
 )
 
@@ -102,8 +102,7 @@ def filter_against_smoother(
         e, filtered_covariance[row], smoothed_covariance[row]
     )
     clear, average = dof > 0, averaged(squared, dof, np.arange(len(dof)))
-    low, high = (chi2_quantile(q, dof[clear]) for q in (0.025, 0.975))
-    within = (squared[clear] >= low) & (squared[clear] <= high)
+    within = inside(squared[clear], dof[clear])
     overconfident = np.flatnonzero(ratio < LEAST_RATIO)
     worst = int(np.argmin(ratio)) if len(ratio) else None
     return FilterAgainstSmoother(

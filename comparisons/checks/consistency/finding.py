@@ -169,7 +169,7 @@ def nees_rows(name: str, t: TruthConsistency | None, bands: str = "95 % bands") 
         if n.mean is None or n.inside is None:
             continue
         (low, high), of = n.single_band, what if not single else f"{what}, mean"
-        limits, inside = band(f"{low:.{digits}g}", f"{high:.3g}"), low <= n.mean <= high
+        limits, inside = band(f"{low:.{digits}g}", f"{high:.3g}"), n.single_band.holds(n.mean)
         rows.append(Row(group, f"{of} (expected {n.dof})", f"{n.mean:.3g}", limits, inside))
         if single:
             share = f"{100.0 * n.inside:.0f} % of {n.count}"
@@ -189,7 +189,7 @@ def smoothed_rows(name: str, f: FilterAgainstSmoother | None) -> list[Row]:
             f"d^T (P_{name} - P_smoother)^-1 d per degree of freedom (expected 1)",
             f"{mean:.3g}",
             limits,
-            None if f.band is None else f.band[0] <= mean <= f.band[1],
+            None if f.band is None else f.band.holds(mean),
         ),
         Row(group, f"smallest variance ratio, {name} over smoother", f"{f.least_ratio:.3g}"),
         Row(group, "time of the smallest variance ratio", f"{f.least_ratio_s:.1f} s"),

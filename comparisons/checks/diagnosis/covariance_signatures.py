@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.checks.grade import LIKE_VARIANCE, eigenvalues
+from comparisons.checks.grade import LIKE_VARIANCE
+from comparisons.covariances import eigenvalue_ranges
 from graphslam.graph_builder import to_tangent
 
 _FITS = 1.0 + LIKE_VARIANCE
@@ -28,7 +29,7 @@ def fit(given: Array, expected: Array, *, scaled: bool = True) -> CovarianceFit 
 
     One in fifty may be an exception. scaled: another factor than one may be.
     """
-    low, high = eigenvalues(given, expected)
+    low, high = eigenvalue_ranges(given, expected)
     if not (low > 0.0).any():
         return None
     middle = _middle(low, high)
@@ -142,7 +143,7 @@ def of_all(given: Array, expected: Array, name: str) -> str:
             if not words:
                 return of_everything(covariance_fit.factor, name)
             return f"your covariance of last pose and landmarks is that of {name} {words}"
-    low, high = eigenvalues(given[None], expected[None])
+    low, high = eigenvalue_ranges(given[None], expected[None])
     return (
         f"your covariance of last pose and landmarks together is {times(low[0])} to "
         f"{times(high[0])} times that of {name}, depending on the direction"
@@ -198,9 +199,9 @@ def _turned(covariance: Array, heading: Array) -> Array:
 
 def _shuffled(given: Array, expected: Array) -> str:
     """Landmarks whose covariance is that of another."""
-    own, other = eigenvalues(given, expected), []
+    own, other = eigenvalue_ranges(given, expected), []
     for k in np.flatnonzero((own[0] * _FITS < 1.0) | (own[1] > _FITS)):
-        low, high = eigenvalues(np.broadcast_to(given[k], expected.shape), expected)
+        low, high = eigenvalue_ranges(np.broadcast_to(given[k], expected.shape), expected)
         other.append(bool(((low * 1.01 > 1.0) & (high < 1.01)).any()))
     return f"{sum(other)} of {len(given)}" if other and all(other) else ""
 
@@ -209,7 +210,7 @@ def _varying(
     begin: str, pair: tuple[Array, Array], name: str, what: str, called: Sequence[str]
 ) -> str:
     """Say between which factors a pair of covariances lies. called: each, the worst is named."""
-    low, high = eigenvalues(*pair)
+    low, high = eigenvalue_ranges(*pair)
     middle = float(np.median(_middle(low, high)))
     off = (low * _FITS < 1.0) | (high > _FITS)
     even = " the same in all directions," if (high <= low * _FITS**2).all() else ""

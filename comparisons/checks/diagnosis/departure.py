@@ -10,10 +10,11 @@ import numpy as np
 from comparisons.adapters.timeline import Timeline
 from comparisons.checks.diagnosis.model_differences import INITIALISATIONS, UPDATES, ModelDifference
 from comparisons.checks.grade import pose_part
+from comparisons.covariances import relative_difference
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.reference import Reference
 from comparisons.logs.log import Log
-from comparisons.statistics import ROUNDING
+from comparisons.rounding import ROUNDING
 
 _CHECK_MOTION = ": check the prediction and the prior"
 _NAMED = 4
@@ -114,7 +115,7 @@ def departed_s(given: ExternalEstimate, reference: Reference) -> float | None:
     if not reference.known.any():
         return None
     poses = pose_part(given, reference)
-    spread = np.fmax(np.abs(poses.least - 1.0), np.abs(poses.largest - 1.0))
+    spread = relative_difference(poses.least, poses.largest)
     left = (poses.sigma > ROUNDING + poses.rounding[0]) | (spread > ROUNDING + poses.rounding[1])
     return float(reference.time_s[reference.known][np.argmax(left)]) if left.any() else None
 

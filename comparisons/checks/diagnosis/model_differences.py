@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from comparisons.covariances import relative_difference, whitened_range
 from ekf_reference.filters.misono import along_circle
 from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import (
@@ -199,7 +200,7 @@ def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[Mod
         return []
     apart = float(np.abs(meant.a @ (said.point - meant.point)).max())
     within = meant.a @ _noisy(_inverse(said.a), said.sigma)
-    spread = float(np.abs(np.linalg.eigvalsh(within @ within.T) - 1.0).max())
+    spread = float(relative_difference(*whitened_range((within @ within.T)[None]))[0])
     return [
         ModelDifference(
             relation="priors", quantity=quantity, count=1, total=1, largest=size, unit=unit
@@ -307,8 +308,7 @@ def _relative(root: Array, covariance: Array) -> Array:
     """(N,) largest relative difference of covariances (N, d, d) from A A^T, A (N, d, d)."""
     (half,) = divided(root, covariance)
     (within,) = divided(root, half.transpose(0, 2, 1))
-    largest: Array = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
-    return largest
+    return relative_difference(*whitened_range(within))
 
 
 def _root(covariance: Array) -> Array:

@@ -16,26 +16,17 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
+from comparisons.checks.agreement import Gap, Gaussian, gap
 from comparisons.checks.diagnosis.trace_recursion import LinearReplay, replay
-from comparisons.estimates.stored_precision import (
-    OF_RECORDS,
-    OF_STEPS,
-    SINGLE,
-    figures_of,
-    records_of,
-    restored,
-)
+from comparisons.covariances import entry_differences
+from comparisons.estimates.planar_trace import OF_RECORDS, OF_STEPS, figures_of, records_of
 from comparisons.plane import pose_difference
+from comparisons.rounding import FACTOR, OPERATIONS, SINGLE, Allowed, restored
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
 from graphslam.marginals import SingularProblemError
 
 _DRAWS = 5
-FACTOR = 3.0
-"""What storing did may be so many times the largest of what the draws did."""
-OPERATIONS = 4.0
-"""A formula computed in single precision is off by so many times what storing its result does."""
 _FAR = 30.0
 """A gap of more times what one draw did is not explained by the largest of several."""
 _ALIKE = 10.0
@@ -151,7 +142,7 @@ def _grown(run: EkfRun, exact: LinearReplay) -> tuple[float, float]:
     sigma = np.sqrt(exact.covariance[:, (0, 1, 2), (0, 1, 2)])
     size = np.abs(pose_difference(run.departed, exact.pose) / sigma).max(axis=1)
     have = run.estimate.pose_covariance
-    spread = np.abs(have - exact.covariance) / (sigma[:, :, None] * sigma[:, None, :])
+    spread = np.abs(entry_differences(have, exact.covariance))
     size = np.fmax(size, spread.max(axis=(1, 2)))
     part = max(1, len(size) // 10)
     return float(np.median(size[1 : 1 + part])), float(np.median(size[-part:]))

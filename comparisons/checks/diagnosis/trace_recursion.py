@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.agreement import Gaussian
-from comparisons.estimates.stored_precision import records_of
+from comparisons.estimates.planar_trace import records_of
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays

@@ -21,15 +21,17 @@ from typing import IO
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.covariances import definite
 from comparisons.errors import InputError, printable, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.experiments.montecarlo.config import FILTER_NAMES
-from comparisons.experiments.montecarlo.runs import RunRecords, planar_nees, recorded_steps
+from comparisons.experiments.montecarlo.runs import RunRecords, recorded_steps
 from comparisons.experiments.scenarios.world import ScenarioWorld, log_of_run
 from comparisons.figures import Aside
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
+from comparisons.statistics import squared_distance
 from ekf_reference.core.geometry import wrap_angle
 
 Estimator = Callable[[Log], Estimate | ExternalEstimate]
@@ -253,9 +255,8 @@ def errors_of(given: ExternalEstimate, world: ScenarioWorld) -> RunRecords:
     if given.pose_covariance is not None:
         covariance = given.pose_covariance[at]
         _check_positive("pose", covariance, [f"{given.time_s[i]:g} s" for i in at])
-        solved = np.linalg.solve(covariance, error[..., None])[..., 0]
-        records.pose_nees[0, columns] = (error * solved).sum(axis=1)
-        records.position_nees[0, columns] = planar_nees(error[:, :2], covariance[:, :2, :2])
+        records.pose_nees[0, columns] = squared_distance(error, covariance)
+        records.position_nees[0, columns] = squared_distance(error[:, :2], covariance[:, :2, :2])
         records.heading_nees[0, columns] = error[:, 2] ** 2 / covariance[:, 2, 2]
     if given.landmark_id is not None and given.landmark is not None:
         known = np.isin(given.landmark_id, np.arange(len(world.landmark)))
@@ -267,7 +268,7 @@ def errors_of(given: ExternalEstimate, world: ScenarioWorld) -> RunRecords:
         if given.landmark_covariance is not None:
             own = given.landmark_covariance[known]
             _check_positive("landmark", own, [str(i) for i in ids])
-            records.landmark_nees[0, -1] = planar_nees(missed, own).mean()
+            records.landmark_nees[0, -1] = squared_distance(missed, own).mean()
     return records
 
 
@@ -301,6 +302,6 @@ def _check_finite(given: ExternalEstimate) -> None:
 
 
 def _check_positive(what: str, covariance: Array, where: list[str]) -> None:
-    bad = np.flatnonzero(np.linalg.eigvalsh(covariance)[:, 0] <= 0.0)
+    bad = np.flatnonzero(~definite(covariance))
     if len(bad):
         raise EstimatorError(f"{what} covariance of {where[bad[0]]} is not positive definite")

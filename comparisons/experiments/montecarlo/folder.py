@@ -17,7 +17,6 @@ from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
     DOF,
     ERRORS,
-    LEVEL,
     FilterFigures,
     per_run,
 )
@@ -25,6 +24,7 @@ from comparisons.experiments.montecarlo.study import StudyOutcome
 from comparisons.experiments.montecarlo.verdict import study_verdict
 from comparisons.report.picture import save
 from comparisons.report.terminal import Summary
+from comparisons.statistics import LEVEL
 from comparisons.words import Row
 
 RESULT = "montecarlo.json"

@@ -14,12 +14,13 @@ from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.chunk_files import CONFIG
 from comparisons.experiments.montecarlo.external import TIMEOUT_S, ExternalProgram
 from comparisons.experiments.montecarlo.plots import colour_of
-from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, FilterPair, per_run
+from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, FilterPair, per_run
 from comparisons.experiments.montecarlo.verdict import study_verdict
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
 from comparisons.report.marks import TIME, Curve, FilledBand, Panel
 from comparisons.report.notebook import framed
+from comparisons.statistics import LEVEL
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.study import StudyOutcome

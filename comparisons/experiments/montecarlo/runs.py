@@ -16,6 +16,7 @@ from comparisons.experiments.variants.linearisation import (
     AtTruth,
     ObservabilityConstrained,
 )
+from comparisons.statistics import squared_distance
 from ekf_reference.core.geometry import wrap_angle
 
 _MOST_RECORDS = 500
@@ -73,30 +74,26 @@ def _errors(filter_: BatchFilter, world: ScenarioWorld, step: int) -> RunRecords
     state, truth = filter_.state, world.pose[step]
     error, covariance = state.pose_error(truth)
     covariance[state.lost] = np.eye(3)
-    pose_nees = np.einsum("bi,bij,bj->b", error, np.linalg.inv(covariance), error)
+    pose_nees = squared_distance(error, covariance)
     additive = state.pose_covariance()
+    additive[state.lost] = np.eye(3)
     position = truth[:2] - state.pose[:, :2]
     heading = wrap_angle(truth[2] - state.pose[:, 2])
     runs = len(heading)
     landmark_nees = landmark_square = np.full(runs, np.nan)
     if len(filter_.label):
         missed = world.landmark[filter_.label] - state.landmarks
-        landmark_nees = planar_nees(missed, state.landmark_covariance()).mean(axis=1)
+        own = state.landmark_covariance()
+        own[state.lost] = np.eye(2)
+        each = squared_distance(missed.reshape(-1, 2), own.reshape(-1, 2, 2))
+        landmark_nees = each.reshape(runs, -1).mean(axis=1)
         landmark_square = (missed**2).sum(axis=2).mean(axis=1)
     return RunRecords(
         pose_nees,
-        planar_nees(position, additive[:, :2, :2]),
+        squared_distance(position, additive[:, :2, :2]),
         heading**2 / additive[:, 2, 2],
         landmark_nees,
         (position**2).sum(axis=1),
         heading**2,
         landmark_square,
     )
-
-
-def planar_nees(error: Array, covariance: Array) -> Array:
-    """e^T C^-1 e of errors (..., 2)."""
-    x, y = error[..., 0], error[..., 1]
-    a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    nees: Array = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b)
-    return nees

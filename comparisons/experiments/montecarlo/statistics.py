@@ -15,20 +15,11 @@ from scipy import stats
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.runs import RunRecords
 from comparisons.figures import Aside
+from comparisons.statistics import LEVEL, Band, Place, inside, mean_band
 
-LEVEL = 0.95
 DOF = {"pose": 3, "position": 2, "heading": 1, "landmarks": 2}
 ERRORS = {"position": "m", "heading": "rad", "landmarks": "m"}
 """What errors are of, and their units."""
-
-Place = Literal["below", "inside", "above", "not given"]
-
-
-def anees_band(runs: int, dof: int) -> tuple[float, float]:
-    """Two-sided band of the mean NEES of independent runs, by chi-square with runs * dof."""
-    tail = 0.5 * (1.0 - LEVEL)
-    low, high = stats.chi2.ppf((tail, 1.0 - tail), runs * dof) / runs
-    return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -46,8 +37,8 @@ class BlockNees:
     """
 
     anees: float
-    band: tuple[float, float]
-    place: Place
+    band: Band
+    place: Place | Literal["not given"]
     share_above: float
 
     @property
@@ -282,19 +273,17 @@ def _interval(difference: Array, level: float) -> tuple[float, tuple[float, floa
 
 def _consistency(counted: Array, runs: int, dof: int) -> BlockNees:
     mean = float(_mean(counted))
-    band = anees_band(runs, dof) if runs else (np.nan, np.nan)
-    place: Place = "above" if not mean <= band[1] else "below" if mean < band[0] else "inside"
+    band = mean_band(runs, dof) if runs else Band(np.nan, np.nan)
     reported = counted[np.isfinite(counted)]
-    share = float((reported > band[1]).mean()) if len(reported) else np.nan
-    return BlockNees(mean, band, place, share)
+    share = float((reported > band.high).mean()) if len(reported) else np.nan
+    return BlockNees(mean, band, band.place(mean), share)
 
 
 def _last_poses(kept: FilterTally) -> LastPoses:
     nees = kept.last.pose_nees[np.isfinite(kept.last.pose_nees)]
-    low, high = stats.chi2.ppf((0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL), DOF["pose"])
     least, most = stats.binom.interval(LEVEL, len(nees), LEVEL) if len(nees) else (0, 0)
-    inside = int(((nees >= low) & (nees <= high)).sum())
-    return LastPoses(inside, len(nees), (int(least), int(most)))
+    count = int(inside(nees, np.asarray(DOF["pose"])).sum())
+    return LastPoses(count, len(nees), (int(least), int(most)))
 
 
 def _mean(values: Array, axis: int | None = None) -> Array:

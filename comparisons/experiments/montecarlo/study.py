@@ -26,7 +26,6 @@ from comparisons.experiments.montecarlo.external import (
 )
 from comparisons.experiments.montecarlo.runs import RunRecords, recorded_steps, run_filter
 from comparisons.experiments.montecarlo.statistics import (
-    LEVEL,
     FilterFigures,
     FilterPair,
     compare_pairs,
@@ -38,6 +37,7 @@ from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
 from comparisons.experiments.scenarios.world import ScenarioWorld, build_world, log_of_run, measure
 from comparisons.figures import Aside
 from comparisons.logs.log_folder import write_log_folder
+from comparisons.statistics import LEVEL
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from comparisons.experiments.montecarlo.statistics import LEVEL, FilterFigures
+from comparisons.experiments.montecarlo.statistics import FilterFigures
+from comparisons.statistics import LEVEL
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.study import StudyOutcome

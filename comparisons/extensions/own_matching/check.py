@@ -19,7 +19,8 @@ from comparisons.checks.agreement import Gaussian, block_agreement
 from comparisons.checks.map_agreement import MapPair
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure, LeftOut, Less, Named, Same
-from comparisons.plane import pose_difference, rms, squared_distance
+from comparisons.plane import pose_difference, rms
+from comparisons.statistics import squared_distance
 from comparisons.words import Cause
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.arrays import Array
@@ -17,7 +16,7 @@ from comparisons.checks.accuracy import aligned
 from comparisons.extensions.scan_motion.log_by_scans import divide
 from comparisons.figures import Named, Nominal
 from comparisons.logs.log import Log, Poses, Positions
-from comparisons.plane import squared_distance
+from comparisons.statistics import Band, chi2_quantile, mean_band, squared_distance
 from graphslam.increments import MotionSamples, dead_reckoned
 from graphslam.scan import planar
 
@@ -52,7 +51,7 @@ class IncrementCheck:
     against: str
     nees: Nominal[float]
     dof: int
-    band: tuple[float, float]
+    band: Band
     factor: Annotated[Nominal[float], Named(f"factor on their sigmas {_FITS}", "{:.2f}")]
     reference_factor: Annotated[
         Nominal[float | None], Named(f"factor on the positions' sigmas {_FITS}", "{:.2f}")
@@ -91,9 +90,9 @@ def _by_truth(motion: ScanMotion, poses: Poses) -> IncrementCheck | None:
         against="truth",
         nees=nees,
         dof=3 * len(squared),
-        band=_band(3 * len(squared)),
+        band=mean_band(3 * len(squared), 1),
         factor=float(np.sqrt(nees)),
-        median=float(np.median(squared) / chi2.median(3)),
+        median=float(np.median(squared) / chi2_quantile(0.5, 3)),
     )
 
 
@@ -129,7 +128,7 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
         against="positions",
         nees=plain,
         dof=dof,
-        band=_band(dof),
+        band=mean_band(dof, 1),
         factor=float(best[0]),
         reference_factor=float(best[1]),
     )
@@ -220,8 +219,3 @@ def _angle(points: Array, moved: Array) -> float:
     before = (points - points.mean(axis=0)) @ np.array([1.0, 1.0j])
     after = (moved - moved.mean(axis=0)) @ np.array([1.0, 1.0j])
     return float(np.angle(np.vdot(before, after)))
-
-
-def _band(dof: int) -> tuple[float, float]:
-    low, high = chi2.ppf((0.025, 0.975), dof) / dof
-    return float(low), float(high)

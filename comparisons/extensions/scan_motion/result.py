@@ -83,7 +83,7 @@ def _increments(i: IncrementCheck | None) -> list[Row]:
         return rows
     low, high = i.band
     limits = f"{band(f'{3.0 * low:.2f}', f'{3.0 * high:.2f}')} (95 %)"
-    inside = low <= i.nees <= high
+    inside = i.band.holds(i.nees)
     return [Row(group, "NEES, mean (expected 3)", f"{3.0 * i.nees:.2f}", limits, inside), *rows]
 
 

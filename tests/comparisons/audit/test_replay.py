@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import Replay, check_gain, largest_pair, noise_factor
+from comparisons.audit.replay import Replay, check_gain, noise_factor
+from comparisons.covariances import largest_pair
 from comparisons.trace.events import Augment, Clone, Predict, Remove, Reset, TracePrior, Update
 
 RNG = np.random.default_rng(0)

@@ -6,11 +6,11 @@ from scipy import stats
 
 from comparisons.experiments.montecarlo.runs import RunRecords, recorded_steps
 from comparisons.experiments.montecarlo.statistics import (
-    anees_band,
     compare_pairs,
     figures_of,
     tally,
 )
+from comparisons.statistics import mean_band
 
 
 def records(rng: np.random.Generator, runs: int, scale: float = 1.0, steps: int = 40) -> RunRecords:
@@ -24,7 +24,7 @@ def records(rng: np.random.Generator, runs: int, scale: float = 1.0, steps: int 
 
 @pytest.mark.parametrize(("runs", "dof"), [(50, 3), (50, 2), (20, 1), (1, 2)])
 def test_bands_hold_what_they_say(runs: int, dof: int) -> None:
-    low, high = anees_band(runs, dof)
+    low, high = mean_band(runs, dof)
     inside = stats.chi2.cdf(runs * high, runs * dof) - stats.chi2.cdf(runs * low, runs * dof)
     assert inside == pytest.approx(0.95)
     assert stats.chi2.sf(runs * high, runs * dof) == pytest.approx(0.025)
@@ -49,7 +49,7 @@ def test_lost_runs_are_counted_and_left_out() -> None:
     rest = figures_of(tally([RunRecords(*(np.delete(r, 4, axis=0) for r in whole))]))
     assert figures.lost == 1
     assert figures.rmse == pytest.approx(rest.rmse)
-    assert figures.consistency["pose"].band == anees_band(49, 3)
+    assert figures.consistency["pose"].band == mean_band(49, 3)
     everything = figures_of(tally([RunRecords(*(np.full((3, 5), np.nan) for _ in whole))]))
     assert everything.lost == 3
     assert np.isnan(everything.rmse["position"])
