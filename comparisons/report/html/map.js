@@ -158,7 +158,21 @@
     }
   });
 
-  const bar = document.getElementById('layers'), legend = document.getElementById('ratio-legend');
+  // A path in the colours of its errors: of each colour one line, of pieces between two points.
+  for (const group of map.querySelectorAll('[data-classes]')) {
+    const { values } = tracks.find(track => track.now.dataset.of === group.dataset.of);
+    const pieces = data.errorColours.map(() => []);
+    [...group.dataset.classes].forEach((digit, i) => {
+      const colour = Number.parseInt(digit, 32);
+      if (i && colour >= 0) pieces[colour].push(`M${values.slice(2 * i - 2, 2 * i + 2).join(' ')}`);
+    });
+    pieces.forEach((d, k) => {
+      if (d.length) make('path', { d: d.join(''), stroke: data.errorColours[k] }, group);
+    });
+  }
+
+  const bar = document.getElementById('layers');
+  const legends = new Map([...document.querySelectorAll('.legend')].map(one => [one.id, new Set()]));
   for (const g of map.querySelectorAll('.layer')) {
     const label = document.createElement('label'), tick = document.createElement('input');
     const swatch = text('span', '', 'swatch');
@@ -166,11 +180,15 @@
     tick.checked = g.getAttribute('display') !== 'none';
     const shown = () => {
       if (tick.checked) g.removeAttribute('display'); else g.setAttribute('display', 'none');
-      if (g.dataset.name === data.ratioLayer) legend.hidden = !tick.checked;
+      const shows = legends.get(g.dataset.legend);
+      if (!shows) return;
+      if (tick.checked) shows.add(g); else shows.delete(g);
+      document.getElementById(g.dataset.legend).hidden = !shows.size;
     };
     tick.addEventListener('change', shown);
     shown();
     if (g.classList.contains('filled')) swatch.classList.add('diverging');
+    else if (g.classList.contains('errors')) swatch.classList.add('sequential');
     else swatch.style.background = g.getAttribute('stroke');
     label.append(tick, swatch, g.dataset.name);
     bar.append(label);

@@ -13,11 +13,14 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.report.html.curves import short
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
+from comparisons.report.html.errors import draw_errors, largest_error_m
+from comparisons.report.html.shell import colour_bar
 from comparisons.report.marks import SCANS_COLOUR, ellipses
+from comparisons.report.track_errors import TrackErrors
 
 MOST_LANDMARKS = 1000
 """Landmarks that the page has, each with two ellipses, three marks and a row."""
-RATIO_LAYER = "variance ratio, least"
+_RATIO_LEGEND = "ratio-legend"
 _SIGMAS = 3.0
 _FAR = 4.0
 """Points that lie so many times the map's own size outside of it do not stretch it."""
@@ -76,7 +79,8 @@ class MapContent:
     log: none of an estimate alone. tracks: the second, on top of all, is compared with the first.
     keys, labels, ratio: (m,) of the marked landmarks: what tables know them by, their labels, and
     the least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
-    widen the map unless they are far away. beneath, above: what else is drawn.
+    widen the map unless they are far away. beneath, above: what else is drawn. errors: of tracks,
+    by their names, and of other paths.
     """
 
     log: Log | None
@@ -87,6 +91,7 @@ class MapContent:
     view: Sequence[Array]
     beneath: Sequence[Draws] = ()
     above: Sequence[Draws] = ()
+    errors: Sequence[TrackErrors] = ()
 
 
 def estimate_map(
@@ -119,14 +124,14 @@ def estimate_map(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DrawnMap:
     """The drawing, and data for the script.
 
     times: [s] of each track's points, by its name. spreads: of those with covariances the variance
     to the east, the covariance and the variance to the north [m^2] of every point. decades: the
     colours of the variance ratio end at 10 to the power of so much, either way. outside: tracks
-    that lie off the map, in part.
+    that lie off the map, in part. largest_m: where the colours of errors end.
     """
 
     drawing: Drawing
@@ -134,6 +139,7 @@ class DrawnMap:
     spreads: dict[str, list[list[float | None]]]
     decades: float
     outside: list[str]
+    largest_m: float
 
 
 def draw_map(c: MapContent) -> DrawnMap:
@@ -160,9 +166,20 @@ def draw_map(c: MapContent) -> DrawnMap:
                 outline = ellipses(track.landmark, track.landmark_covariance, _SIGMAS, 32)
                 drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, reported)
             drawing.marks(f"{name} landmarks", colour, track.landmark, reported, c.keys)
+    largest_m = largest_error_m(c.errors, list(times))
+    for errors in c.errors:
+        if errors.name in times:
+            draw_errors(drawing, errors, np.array(times[errors.name]), largest_m)
     for draw in c.above:
         draw(drawing)
-    return DrawnMap(drawing, times, spreads, _differences(drawing, c), outside)
+    return DrawnMap(
+        drawing=drawing,
+        times=times,
+        spreads=spreads,
+        decades=_differences(drawing, c),
+        outside=outside,
+        largest_m=largest_m,
+    )
 
 
 def _bounded(c: MapContent) -> tuple[Drawing, list[str]]:
@@ -218,7 +235,8 @@ def _differences(drawing: Drawing, c: MapContent) -> float:
         pairs = zip(c.labels, c.ratio.tolist(), strict=True)
         reported = [f"{label}; variance ratio {ratio:.3g}" for label, ratio in pairs]
         colours = ratio_colours(c.ratio, decades)
-        drawing.marks(RATIO_LAYER, "#666666", second, reported, c.keys, colours, shown=False)
+        look = ("variance ratio, least", "#666666")
+        drawing.marks(*look, second, reported, c.keys, colours, _RATIO_LEGEND)
     return decades
 
 
@@ -240,19 +258,9 @@ def ratio_legend(decades: float) -> str:
     """The colours of the variance ratio with their figures."""
     place = np.linspace(-decades, decades, 41)
     colours = ratio_colours(10.0**place, decades)
-    blocks = "".join(
-        f'<rect x="{4 * i + 10}" y="0" width="4.3" height="10" fill="{c}"/>'
-        for i, c in enumerate(colours)
-    )
-    words = "".join(
-        f'<text x="{10 + 82 * (1 + share):.0f}" y="22">{10.0 ** (share * decades):.2g}</text>'
-        for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
-    )
-    return (
-        '<div id="ratio-legend" hidden><span>the filter is too sure</span>'
-        f'<svg viewBox="0 0 184 24" role="img" aria-label="variance ratio">{blocks}{words}</svg>'
-        "<span>too careful</span></div>"
-    )
+    words = [f"{10.0 ** (share * decades):.2g}" for share in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    ends = ("the filter is too sure", "too careful")
+    return colour_bar(_RATIO_LEGEND, "variance ratio", colours, words, ends)
 
 
 def _decades(ratio: Array) -> float:

@@ -162,13 +162,23 @@ def _top(c: PageContent, where: str) -> str:
             f"<dl>{facts}</dl>{_remarks(c.remarks)}{again(c.job) if c.job else ''}</section>",
         ]
     )
-    drawn = f'<div class="column">{where}{gaps}</div>' if where or gaps else ""
+    drawn = f'<div class="column">{where}{_errors(c.map)}{gaps}</div>' if where or gaps else ""
     return f'<div id="top"><div class="column">{told}</div>{drawn}</div>'
+
+
+def _errors(content: MapContent | None) -> str:
+    """The statistics of the errors that colour the map."""
+    if content is None:
+        return ""
+    from comparisons.report.html.errors import error_table
+
+    return error_table(content.errors)
 
 
 def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[str, object]]:
     """The map, and what the script has to know of it. more: that can be done with it."""
-    from comparisons.report.html.map import RATIO_LAYER, draw_map, ratio_legend
+    from comparisons.report.html.errors import error_colours, error_legend
+    from comparisons.report.html.map import draw_map, ratio_legend
 
     drawn = draw_map(content)
     off = "".join(f"The {name} trajectory leaves the map. " for name in drawn.outside)
@@ -176,11 +186,12 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
     return (
         '<section id="where"><h2>Map</h2><div id="layers"></div>'
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
-        f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>'
+        f"{ratio_legend(drawn.decades)}{error_legend(content.errors, drawn.largest_m)}"
+        f'<p id="chosen" role="status"></p>'
         f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
         f'double click for all{more}.</span><span class="hand touch">Pinch to zoom, drag to '
         f"move{more}.</span></p></section>",
-        {"tracks": tracks, "spreads": drawn.spreads, "ratioLayer": RATIO_LAYER},
+        {"tracks": tracks, "spreads": drawn.spreads, "errorColours": error_colours()},
     )
 
 
