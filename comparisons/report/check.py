@@ -186,6 +186,7 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
                     dashes="2 2",
                     time_s=reference.time_s,
                     pose=reference.pose,
+                    against_time=False,
                 )
                 for reference, colour in filters_compared(check)
             ),

@@ -76,11 +76,11 @@ def error_table(every: Sequence[TrackErrors]) -> str:
         heading = error_statistics(np.degrees(errors.heading_rad))
         for what, figures in (("position [m]", place), ("heading [deg]", heading)):
             rows.append((f"{errors.name}, {what}", *(number(figures[key]) for key in _STATISTICS)))
-    said = "Error against truth" if reference == TRUTH else f"Difference from the {reference}"
-    note = (
-        f"{said} (APE, absolute pose error, without alignment), at "
-        f"{max(len(errors.time_s) for errors in every):,} instants. The map has it as a layer."
-    )
+    said = f"Difference from the {reference} (APE, absolute pose error)"
+    if reference == TRUTH:
+        said = "Error against truth (APE, absolute pose error, without alignment)"
+    instants = max(len(errors.time_s) for errors in every)
+    note = f"{said}, at {instants:,} instants. The map has it as a layer."
     return (
         f'<section id="errors"><h2>Errors of the path</h2>'
         f"{table(('', *_STATISTICS.values()), rows)}"

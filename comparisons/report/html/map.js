@@ -15,7 +15,35 @@
   const ring = make('circle', { class: 'ring', visibility: 'hidden' }, world);
   const pixels = () => map.getScreenCTM()?.a || 1;
 
+  // Metres to the east and to the north, on the map's lower and left edge.
+  const ruler = make('svg', { id: 'ruler' }, document.getElementById('frame'));
+  const [west, north] = [Number(map.dataset.west), Number(map.dataset.north)];
+  const ruled = () => {
+    const edge = map.getBoundingClientRect(), at = map.getScreenCTM();
+    ruler.replaceChildren();
+    if (!at?.a) return;
+    const marked = (start, end, place) => {
+      const step = niceStep(Math.abs(end - start) / Math.abs(place(end) - place(start)) * 130);
+      for (let k = Math.ceil(Math.min(start, end) / step); k * step <= Math.max(start, end); k++) {
+        const value = round(k * step, 9), p = place(value), side = place === across;
+        const end = side ? edge.height : edge.width;
+        if (p < 45 || p > (side ? edge.width : edge.height) - 30) continue;
+        make('path', { d: side ? `M${p},${end}v-6` : `M0,${p}h6` }, ruler);
+        const label = make('text', side ? { x: p, y: end - 9, 'text-anchor': 'middle' }
+          : { x: 9, y: p + 3.5 }, ruler);
+        label.textContent = `${value} m`;
+      }
+    };
+    const across = east => (east - west) / metres * at.a + at.e - edge.left;
+    const down = y => (north - y) / metres * at.d + at.f - edge.top;
+    const left = west + (edge.left - at.e) / at.a * metres;
+    const top = north - (edge.top - at.f) / at.d * metres;
+    marked(left, left + edge.width / at.a * metres, across);
+    marked(top - edge.height / at.d * metres, top, down);
+  };
+
   const sized = () => {
+    ruled();
     const unit = 1 / pixels();
     for (const c of marks) c.setAttribute('r', (c.hasAttribute('fill') ? 5.5 : 2.6) * unit);
     for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 7 * unit);
@@ -84,6 +112,7 @@
     if (down.size === 2 && apart() > 0) zoomed(from, far / apart());
     const p = place(between());
     box.x += from.x - p.x; box.y += from.y - p.y;
+    ruled();
     held();
   });
   const lifted = e => { if (down.delete(e.pointerId)) held(); };

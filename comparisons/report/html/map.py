@@ -38,7 +38,8 @@ class Track:
 
     time_s: (K,) and pose: (K, 2 or more), its trajectory. landmark: (m, 2) of the map's marked
     landmarks, NaN where it has one not; landmark_covariance: (m, 2, 2). None without any.
-    pose_covariance: (K, 2 or more, 2 or more), of east and north first.
+    pose_covariance: (K, 2 or more, 2 or more), of east and north first. against_time: whether it is
+    drawn so, too.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Track:
     landmark: Array | None = None
     landmark_covariance: Array | None = None
     pose_covariance: Array | None = None
+    against_time: bool = True
 
 
 def estimate_track(

@@ -6,7 +6,7 @@ What a section needs is loaded where the page has it: an audit's page knows noth
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,10 +106,11 @@ def page(content: PageContent) -> str:
     where = when = ""
     if c.map is not None:
         where, data = _where(c.map, start_s, _ROW if c.landmarks else "")
-    event = any(panel.x_label == EVENT for panel in c.panels)
-    data |= {"start": start_s, "event": event, "panels": curve_data(c.panels, start_s)}
+    panels = sorted([*c.panels, *_over_time(c)], key=lambda panel: not panel.timed)
+    event = any(panel.x_label == EVENT for panel in panels)
+    data |= {"start": start_s, "event": event, **curve_data(panels, start_s)}
     now = '<output id="now"></output>'
-    if c.panels or c.reported:
+    if panels or c.reported:
         when = (
             f'<section id="when"><h2>Curves {"" if where else now}</h2>'
             f'<p class="note">{escape(c.reported)}</p>'
@@ -164,6 +165,16 @@ def _top(c: PageContent, where: str) -> str:
     )
     drawn = f'<div class="column">{where}{_errors(c.map)}{gaps}</div>' if where or gaps else ""
     return f'<div id="top"><div class="column">{told}</div>{drawn}</div>'
+
+
+def _over_time(c: PageContent) -> list[Panel]:
+    """The paths of the map against time, marked as the other curves are."""
+    if c.map is None:
+        return []
+    from comparisons.report.html.paths import path_panels
+
+    moments = next((panel.moments for panel in c.panels if panel.moments), ())
+    return [replace(panel, moments=moments) for panel in path_panels(c.map)]
 
 
 def _errors(content: MapContent | None) -> str:
