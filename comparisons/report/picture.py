@@ -83,5 +83,10 @@ def draw_panel(axis: Axes, panel: Panel, *, marked: bool = False) -> None:
         axis.minorticks_off()
     axis.set_ylabel(panel.title)
     if panel.lacking:
-        place = {"transform": axis.transAxes, "fontsize": 6, "color": _SOFT, "parse_math": False}
+        place: dict[str, Any] = {
+            "transform": axis.transAxes,
+            "fontsize": 6,
+            "color": _SOFT,
+            "parse_math": False,
+        }
         axis.text(0.01, 0.02, "\n".join(panel.lacking), va="bottom", **place)

@@ -5,8 +5,9 @@
   const marks = [...map.querySelectorAll('circle[data-key]')];
   const names = make('g', { class: 'layer names', 'data-name': 'landmark names',
     stroke: 'var(--ink)', fill: 'var(--ink)' });
-  const called = new Map([...document.querySelectorAll('#landmarks tr[data-key]')]
-    .map(row => [row.dataset.key, row.cells[0].textContent]));
+  const called = new Map([...Object.entries(data.names),
+    ...[...document.querySelectorAll('#landmarks tr[data-key]')]
+      .map(row => [row.dataset.key, row.cells[0].textContent])]);
   for (const c of new Map(marks.map(mark => [mark.dataset.key, mark])).values()) {
     const name = make('text', { x: c.cx.baseVal.value, y: c.cy.baseVal.value }, names);
     name.textContent = called.get(c.dataset.key) ?? c.dataset.key;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -80,7 +80,8 @@ class MapContent:
 
     log: none of an estimate alone. tracks: the second, on top of all, is compared with the first.
     keys, labels, ratio: (m,) of the marked landmarks: what tables know them by, their labels, and
-    the least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
+    the least variance of the second over the first's. names: of those that have another name than
+    their key and stand in no table. view: points (N, 2) that must be seen; tracks
     widen the map unless they are far away. beneath, above: what else is drawn. errors: of tracks,
     by their names, and of other paths.
     """
@@ -89,6 +90,7 @@ class MapContent:
     tracks: Sequence[Track]
     keys: Sequence[object] = ()
     labels: Sequence[str] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
     ratio: Array = field(default_factory=lambda: np.empty(0))
     view: Sequence[Array]
     beneath: Sequence[Draws] = ()
@@ -111,6 +113,7 @@ def estimate_map(
     marked = farthest(np.zeros(len(estimate.landmark)))
     ids = estimate.landmark_id[marked]
     beneath = [*all_landmarks("all landmarks", estimate.landmark, marked)]
+    names = dict(zip(ids.tolist(), [estimate.names[i] for i in marked.tolist()], strict=True))
     view = [estimate.pose[:, :2], estimate.landmark, estimate.pose_landmarks[:, :2]]
     if cloud is not None:
         said, points = cloud
@@ -120,7 +123,8 @@ def estimate_map(
         log=log,
         tracks=[estimate_track(name, colour, estimate, ids), *others],
         keys=ids.tolist(),
-        labels=[f"landmark {estimate.names[i]}" for i in marked.tolist()],
+        labels=[f"landmark {name}" for name in names.values()],
+        names={str(key): name for key, name in names.items() if name != str(key)},
         view=view,
         beneath=beneath,
     )

@@ -202,7 +202,12 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
         f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
         f'double click for all{more}.</span><span class="hand touch">Pinch to zoom, drag to '
         f"move{more}.</span></p></section>",
-        {"tracks": tracks, "spreads": drawn.spreads, "errorColours": error_colours()},
+        {
+            "tracks": tracks,
+            "spreads": drawn.spreads,
+            "names": content.names,
+            "errorColours": error_colours(),
+        },
     )
 
 
