@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import METRES, Count, Less, More, Named, percent, rows_of
+from comparisons.figures import METRES, Aside, Count, Less, More, Named, percent, rows_of
 from comparisons.logs.log import Landmarks, Log
 from comparisons.plane import in_own_axes, rms
 from comparisons.words import Row
@@ -33,7 +33,7 @@ _NEARER, _FAR_M = 3.0, 0.5
 """Another is so many times nearer than a landmark's own, which is farther than so much."""
 _FEWEST_LABELS = 4
 """Landmarks of which a frame leaves those that are exchanged."""
-_WORDS = {"odometry": "dead reckoning", "scans": "scan odometry"}
+SHORT_NAMES = {"odometry": "dead reckoning", "scans": "scan odometry"}
 _KEYS = {"odometry": "dead_reckoning", "scans": "scan_odometry", "wheels": "wheels"}
 """What rows and results call what a line calls shortly."""
 _COMPLEX = np.array([1.0, 1.0j])
@@ -45,6 +45,20 @@ Error = Less[float | None]
 
 def _turn(angle_rad: float) -> str:
     return f"{math.degrees(angle_rad):.2f} deg"
+
+
+class TruthErrors(NamedTuple):
+    """Errors of a trajectory at the instants (N,) of the true poses within its time.
+
+    Attributes:
+        time_s: (N,).
+        distance_m: (N,) of its positions from the true ones, in the log's frame.
+        heading_rad: (N,) turn between the headings, from 0 to pi.
+    """
+
+    time_s: Array
+    distance_m: Array
+    heading_rad: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +81,7 @@ class Accuracy:
         gps_median_aligned_m: the same after the best rigid alignment.
         gps_rms_aligned_m: root mean square distance from GPS after that alignment.
         coverage: share of the reference's instants within the estimate's time.
+        errors: errors of which ate_m is the root mean square; no part of a result file.
     """
 
     ate_m: Annotated[Error, Named("path (ATE)", METRES)] = None
@@ -83,6 +98,7 @@ class Accuracy:
     ] = None
     landmarks_true: Count[int | None] = None
     coverage: Annotated[More[float | None], Named("coverage of the log's time", percent)] = None
+    errors: Aside[TruthErrors | None] = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -122,7 +138,7 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
         return [*self.held_out] + [
             row
             for name, accuracy in self.value.items()
-            for row in accuracy_rows(_WORDS.get(name, f"the {name}"), accuracy)
+            for row in accuracy_rows(SHORT_NAMES.get(name, f"the {name}"), accuracy)
         ]
 
 
@@ -176,12 +192,12 @@ def _held_out(known: Known) -> list[Row]:
 
 def accuracy_lines(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:
     """Return a line with an error of each estimate, by the best reference that all have."""
-    for name, field in (
+    for name, error in (
         ("ATE", "ate_m"),
         ("to GPS (median)", "gps_median_m"),
         ("landmarks, aligned (rms)", "landmark_rmse_aligned_m"),  # of what has no true poses
     ):
-        found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
+        found = {whose: getattr(a, error) for whose, a in each.items() if a is not None}
         known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]
         if known:
             return [("accuracy", f"{name}: {', '.join(known)}")]
@@ -208,13 +224,13 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
         if len(found):
             figures["landmark_rmse_m"] = rms(found - true)
             figures["landmark_rmse_aligned_m"] = rms(aligned(found, true) - true)
-    return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
+    return Accuracy(**figures) if figures else None
 
 
 def assess_trajectory(time_s: Array, pose: Array, log: Log) -> Accuracy | None:
     """The same of poses (K, 3) alone."""
     figures = _of_trajectory(time_s, pose, log)
-    return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
+    return Accuracy(**figures) if figures else None
 
 
 def exchanged_labels(estimate: Estimate, log: Log, *, labelled: bool) -> str:
@@ -261,8 +277,8 @@ def landmark_errors(
     return found
 
 
-def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | int | None]:
-    figures: dict[str, float | int | None] = {}
+def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, Any]:
+    figures: dict[str, Any] = {}
     truth, positions = log.truth, log.positions
     if positions is not None:
         at, fixes, figures["coverage"] = _at_times(
@@ -282,6 +298,10 @@ def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | in
         inside = (truth.poses.time_s >= time_s[0]) & (truth.poses.time_s <= time_s[-1])
         clock, true_pose = truth.poses.time_s[inside], truth.poses.pose[inside]
         poses = np.column_stack([np.interp(clock, time_s, column) for column in pose.T])
+        if len(at):
+            turn = np.abs(wrap_angle(poses[:, 2] - true_pose[:, 2]))
+            distance_m = np.linalg.norm(at - true, axis=1)
+            figures["errors"] = TruthErrors(clock, distance_m, turn)
         apart, turned = relative_errors(poses, true_pose)
         if len(apart):
             figures["rpe_10m_m"] = rms(apart[:, None])

@@ -53,7 +53,7 @@ class PathErrors(NamedTuple):
         figures: dict[str, float | None] = {
             f"{name}.{word}": number
             for name, errors in every.items()
-            for word, number in _statistics(errors).items()
+            for word, number in error_statistics(errors).items()
         }
         return figures | {"nees_per_dof": self.nees}
 
@@ -123,8 +123,8 @@ def _nees(difference: Array, covariance: Array) -> float | None:
     return float(known.mean()) / difference.shape[1] if len(known) else None
 
 
-def _statistics(errors: Array) -> dict[str, float]:
-    """Of errors (N,); none where there are no errors."""
+def error_statistics(errors: Array) -> dict[str, float]:
+    """Return statistics of errors (N,) as evo calls them; none where there are no errors."""
     if not len(errors):
         return {}
     return {

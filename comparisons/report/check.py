@@ -82,6 +82,7 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import Summary
+from comparisons.report.track_errors import track_errors
 from comparisons.words import Row, cause_name
 from ekf_reference.core.landmark_types import POINT
 
@@ -185,6 +186,7 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
                     dashes="2 2",
                     time_s=reference.time_s,
                     pose=reference.pose,
+                    against_time=False,
                 )
                 for reference, colour in filters_compared(check)
             ),
@@ -195,6 +197,7 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
         view=[smoothed.pose[:, :2], smoothed.landmark],
         beneath=beneath,
         above=() if check.departure is None else (partial(_mark, check.departure),),
+        errors=track_errors(check.known),
     ), marked
 
 

@@ -15,6 +15,8 @@ TRUTH_COLOUR = "#444444"
 SCANS_COLOUR = "#edae49"
 TIME, EVENT = "time [s]", "event"
 """Axes that all curves over them share."""
+MOST_POINTS, DIGITS = 2000, 4
+"""Of a curve on a page, and of its figures."""
 DEPARTURE = "first difference"
 DEPARTURE_COLOUR = "#7b4fa3"
 
@@ -46,7 +48,10 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class FilledBand:
-    """What lies between low and high at x: (n,) each. lack: why it has a gap where it has one."""
+    """What lies between low and high at x: (n,) each.
+
+    lack: why it has a gap where it has one. about: name of the curve that it lies evenly about.
+    """
 
     name: str
     colour: str
@@ -54,6 +59,17 @@ class FilledBand:
     low: Array
     high: Array
     lack: str = ""
+    about: str = ""
+
+    @property
+    def gap(self) -> str:
+        """Return in words where there is no band, and why; nothing where it is whole."""
+        whole = np.isfinite(self.low) & np.isfinite(self.high)
+        missing = int(np.count_nonzero(~whole))
+        if not missing:
+            return ""
+        because = f": {self.lack}" if self.lack else ""
+        return f"no {self.name} at {missing:,} of {len(self.x):,} instants{because}"
 
 
 @dataclass(frozen=True)
@@ -69,7 +85,8 @@ class Moment:
 class Panel:
     """Curves over one axis. logarithmic: of the values. level: what is right, if one value is.
 
-    moments: what is marked across all curves.
+    moments: what is marked across all curves. lacks: bands that are not there, and why. points,
+    digits: at most so many of a curve on the page, and of a figure.
     """
 
     title: str
@@ -79,6 +96,19 @@ class Panel:
     logarithmic: bool = False
     level: float | None = None
     moments: tuple[Moment, ...] = ()
+    lacks: tuple[str, ...] = ()
+    points: int = MOST_POINTS
+    digits: int = DIGITS
+
+    @property
+    def timed(self) -> bool:
+        """Whether it stands over the axis that all such panels share."""
+        return self.x_label in (TIME, EVENT)
+
+    @property
+    def lacking(self) -> list[str]:
+        """Return in words what is not drawn of bands, wholly or in part."""
+        return [*self.lacks, *(band.gap for band in self.bands if band.gap)]
 
 
 def nis_panel(sensor: SensorInnovations, colour: str, at: Array, x_label: str) -> Panel:

@@ -47,6 +47,7 @@ REFERENCE_COLOUR = "#5c6f2b"
 REFERENCE_COLOURS = (REFERENCE_COLOUR, "#b05f9e", "#8f5d2b")
 """Of the filters that an external estimate is compared with, in turn."""
 _FURTHER = (SCANS_COLOUR, "#6a3d9a", REFERENCE_COLOUR)
+_NO_COVARIANCES = "there are no covariances of poses"
 COMPONENTS = {"east": ("east [m]", 1.0), "north": ("north [m]", 1.0),
               "heading": ("heading [deg]", 180.0 / np.pi)}  # fmt: skip
 """Of a pose: what a panel calls each, and how much of its unit an SI unit is."""
@@ -265,7 +266,8 @@ def _by_smoother(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | Non
     if c.smoothed is not None:
         return _against_smoother(c.smoothed, "estimate")
     unknown = np.full_like(c.difference, np.nan)
-    return _errors(c.time_s, c.difference, unknown, "estimate - smoother"), None
+    lack = c.unjudged or _NO_COVARIANCES
+    return _errors(c.time_s, c.difference, unknown, "estimate - smoother", lack), None
 
 
 def filters_compared(check: ExternalCheck) -> list[tuple[Reference, str]]:
@@ -346,25 +348,29 @@ def _errors(
     error: Array,
     sigma: Array,
     name: str,
-    lack: str = "",
+    lack: str = _NO_COVARIANCES,
     colour: str = EKF_COLOUR,
 ) -> tuple[Panel, ...]:
     """Of errors (n, 3) and sigmas (n, 3); no band where none of these is a number.
 
-    lack: why some sigmas are no numbers.
+    lack: why sigmas are no numbers, if some are none.
     """
     panels = []
     for i, (label, unit) in enumerate(COMPONENTS.values()):
         spread = 3.0 * unit * sigma[:, i]
         curve = Curve(name, colour, time_s, unit * error[:, i])
         bands: tuple[FilledBand, ...] = ()
+        lacks: tuple[str, ...] = (f"no 3 sigma: {lack}",)
         if np.isfinite(spread).any():
+            lacks = ()
             bands = (
                 FilledBand(
                     name="3 sigma", colour=colour, x=time_s, low=-spread, high=spread, lack=lack
                 ),
             )
-        panels.append(Panel(title=label, x_label=TIME, curves=(curve,), bands=bands, level=0.0))
+        panels.append(
+            Panel(title=label, x_label=TIME, curves=(curve,), bands=bands, level=0.0, lacks=lacks)
+        )
     return tuple(panels)
 
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from comparisons.report.marks import TRUTH_COLOUR, Panel
 
+_SOFT = "#63686f"
 _MARKERS = ("o-", "o--", "s-", "s--", "^-", "v-")
 
 
@@ -81,3 +82,11 @@ def draw_panel(axis: Axes, panel: Panel, *, marked: bool = False) -> None:
         axis.yaxis.set_major_formatter("{x:g}")  # powers of ten set as formulas take far longer
         axis.minorticks_off()
     axis.set_ylabel(panel.title)
+    if panel.lacking:
+        place: dict[str, Any] = {
+            "transform": axis.transAxes,
+            "fontsize": 6,
+            "color": _SOFT,
+            "parse_math": False,
+        }
+        axis.text(0.01, 0.02, "\n".join(panel.lacking), va="bottom", **place)

@@ -53,6 +53,7 @@ from comparisons.report.sections import (
 )
 from comparisons.report.settings import setting_lines, settings_rows
 from comparisons.report.terminal import Summary
+from comparisons.report.track_errors import track_errors
 from comparisons.words import Row
 from ekf_reference.core.state import correlation_coefficients
 
@@ -301,4 +302,5 @@ def run_map(c: Comparison, marked: Index) -> MapContent:
             *all_landmarks("all landmarks", ekf.landmark, marked),
         ],
         above=[finding.layers for finding in c.findings.values()],
+        errors=track_errors(c.known),
     )

@@ -29,6 +29,7 @@ from comparisons.report.models import (
 from comparisons.report.panels import known_panels
 from comparisons.report.settings import SettingLine, setting_lines, settings_result
 from comparisons.report.terminal import Summary
+from comparisons.report.track_errors import track_errors
 from comparisons.words import cause_name
 from graphslam import smoother
 
@@ -216,4 +217,5 @@ def known_page(
 ) -> PageContent:
     """Return the page of a job with the curves of what it knows."""
     settings = setting_lines(config, result.settings)
+    drawn = replace(drawn, errors=track_errors(known))
     return job_page(result, summary, job, drawn, known_panels(known), settings)

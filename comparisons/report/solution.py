@@ -105,6 +105,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
             dashes="2 2",
             time_s=s.estimate.time_s,
             pose=s.dead_reckoned,
+            against_time=False,
         )
         drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
         config = s.prepared.config

@@ -7,13 +7,14 @@ from itertools import cycle
 
 import numpy as np
 
-from comparisons.checks.path_errors import PathErrors
+from comparisons.checks.path_errors import PathErrors, error_statistics
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.report.html.map import MapContent, Track
 from comparisons.report.html.page import PageContent, page
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TIME, Curve, Panel
 from comparisons.report.panels import REFERENCE_COLOURS
 from comparisons.report.side_by_side import TITLE, Row, html_table
+from comparisons.report.track_errors import TrackErrors
 
 
 def trajectories_page(
@@ -31,6 +32,8 @@ def trajectories_page(
         rows: The table of all figures.
     """
     name, true = reference
+    if name in titles:
+        name += " (reference)"
     paths = list(zip(titles, cycle((EKF_COLOUR, *REFERENCE_COLOURS)), errors, strict=False))
     tracks = [
         Track(name=name, colour=SMOOTHER_COLOUR, time_s=true.time_s, pose=true.pose),
@@ -43,7 +46,12 @@ def trajectories_page(
         name=TITLE,
         headline=f"against {name}",
         facts=[(title, _in_words(path)) for title, _, path in paths],
-        map=MapContent(log=None, tracks=tracks, view=[track.pose[:, :2] for track in tracks]),
+        map=MapContent(
+            log=None,
+            tracks=tracks,
+            view=[track.pose[:, :2] for track in tracks],
+            errors=[_track_errors(title, path) for title, _, path in paths],
+        ),
         panels=[
             Panel(
                 title=title,
@@ -63,6 +71,11 @@ def trajectories_page(
         sections=[f"<h2>Errors</h2>{html_table(titles, rows)}"],
     )
     return page(content)
+
+
+def _track_errors(name: str, path: PathErrors) -> TrackErrors:
+    rms_m = error_statistics(path.place_m)["rms"]
+    return TrackErrors(name, "reference", path.time_s, path.place_m, path.heading_rad, rms_m)
 
 
 def _in_words(path: PathErrors) -> str:

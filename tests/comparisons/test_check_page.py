@@ -96,7 +96,7 @@ def test_everything_that_was_handed_in_is_on_the_page() -> None:
     data = data_of(text)
     assert set(data["tracks"]) == {"smoother", "estimate", "reference EKF"}
     titles = [panel["title"] for panel in data["panels"]]
-    assert len(titles) == 9
+    assert len(titles) == 9 + 3  # east, north and heading of the paths
     assert {"NEES of the pose (3 dof)", "pose's difference, squared"} < set(titles)
 
 
@@ -229,8 +229,20 @@ def test_what_was_not_handed_in_is_left_out_with_a_word(tmp_path: Path) -> None:
     assert "estimate landmarks" not in layers(text)
     assert "variance ratio, least" not in layers(text)
     panels = data_of(text)["panels"]
-    assert len(panels) == 7
-    assert not any(panel["bands"] for panel in panels)
+    errors, paths = panels[:6], [panel for panel in panels if "truth" in names_of(panel)]
+    assert len(panels) == 7 + len(paths)
+    assert len(paths) == 3
+    assert not any(panel["bands"] for panel in panels if panel not in paths)
+    lacks = [present(re.fullmatch("no 3 sigma: (.*)", *panel["lacks"]))[1] for panel in errors]
+    assert lacks == ["there are no covariances of poses"] * 3 + [found.consistency.unjudged] * 3
+    for panel in paths:
+        assert [band["name"] for band in panel["bands"]] == ["smoother, 3 sigma"]
+        assert panel["lacks"] == ["no 3 sigma of estimate: no covariances of poses"]
+
+
+def names_of(panel: dict[str, Any]) -> list[str]:
+    """Of a panel's curves."""
+    return [curve["name"] for curve in panel["curves"]]
 
 
 def test_without_truth_there_are_no_errors_against_it() -> None:
@@ -240,7 +252,9 @@ def test_without_truth_there_are_no_errors_against_it() -> None:
     assert "The log has no true poses in the estimate&#x27;s time" in text
     assert "off truth" not in text
     assert "truth" not in layers(text)
-    assert len(data_of(text)["panels"]) == 5
+    panels = data_of(text)["panels"]
+    assert len(panels) == 5 + 3
+    assert not any("truth" in names_of(panel) for panel in panels)
 
 
 def test_landmarks_without_covariances_or_counterparts_are_drawn() -> None:
@@ -357,7 +371,7 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     panels, start_s = external_panels(found)[1], data_of(text)["start"]
     assert {moment.x for panel in panels for moment in panel.moments} == {left.time_s}
     marks = [panel["moments"] for panel in data_of(text)["panels"]]
-    assert len(marks) == len(panels)
+    assert len(marks) == len(panels) + 3
     assert all(start_s + one[0]["x"] == pytest.approx(left.time_s) for one in marks)
     axis = map_figure(found).axes[0]
     drawn = [line for line in axis.lines if line.get_label() == "first difference"]
@@ -393,20 +407,20 @@ def test_the_files_that_were_judged_are_named_by_their_hashes(tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.usefixtures("unsearched")
-@pytest.mark.parametrize(("made", "figures"), [(bare, 7), (overconfident, 9)])
+@pytest.mark.parametrize(("made", "figures"), [(bare, 10), (overconfident, 12)])
 def test_a_browser_shows_it(tmp_path: Path, made: Any, figures: int) -> None:
     """Where a band has a gap it is drawn in pieces, none of which spans the gap."""
     path = tmp_path / "report.html"
     path.write_text(html(check(run().log, made(filtered()))), encoding="utf-8")
     dom = look(f"{path.as_uri()}#time=15", tmp_path / "profile")
     assert came_up(dom)
-    said = "no band: the estimate claims less variance than the smoother"
-    assert (said in dom) == (made is overconfident)
+    said = r"no 3 sigma at \d+ of \d+ instants: the estimate claims less variance than the smoother"
+    assert bool(re.search(said, dom)) == (made is overconfident)
     assert "none to none" not in dom
     assert dom.count("<figure>") == figures
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 3
     bands = re.findall(r'<path d="([^"]*)"[^>]* class="band"', dom)
-    assert bool(bands) == (made is overconfident)
+    assert (len(bands) == 3) == (made is bare)  # the smoother's alone
     if made is overconfident:
         widths = [
             max(x) - min(x)

@@ -36,9 +36,9 @@ def test_a_browser_builds_layers_and_curves(report: Path, tmp_path: Path) -> Non
     layers = len(re.findall('<g class="layer', dom))
     assert layers >= 9
     assert dom.count('type="checkbox"') == layers
-    # Curves of east, north, heading, NEES, spurious heading, NIS and whiteness, and two maps of
-    # correlations.
-    assert dom.count("<figure>") == 7 + 2
+    # Curves of errors east, north and of heading, NEES, spurious heading, NIS and whiteness; east,
+    # north and heading of the paths; and two maps of correlations.
+    assert dom.count("<figure>") == 7 + 3 + 2
     assert len(re.findall(r'<path d="M[^"]{200,}"[^>]* class="line"', dom)) >= 5
     assert "NaN" not in dom.split("<script", 1)[0]
     assert "<title>owned</title>" not in dom
@@ -166,7 +166,7 @@ def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     assert found.pop("ready") == "yes"
     assert len({found.pop(name) for name in ("whole", "wheel", "drag")}) == 3
     assert found.pop("now") == 2  # the pose on both trajectories
-    assert found.pop("cursors") == 6  # all curves over time
+    assert found.pop("cursors") == 9  # all curves over time
     assert found.pop("none") == 0
     names = {"zoomed", "label", "chosen", "pinched", "left", "one", "all", "linked", "slid"}
     assert found == dict.fromkeys(names, True)

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from matplotlib.image import imread
 
 from comparisons.arrays import Array, Index
 from comparisons.report.html import heat_map
-from comparisons.report.html.curves import MOST_POINTS, data_block, panel_data, short, thinned
+from comparisons.report.html.curves import curve_data, data_block, panel_data, short, thinned
 from comparisons.report.html.map import ratio_colours
-from comparisons.report.marks import Curve, FilledBand, Panel
+from comparisons.report.marks import MOST_POINTS, Curve, FilledBand, Panel
 
 
 def spiky(count: int = 50_000) -> Array:
@@ -77,6 +78,58 @@ def test_a_panel_counts_time_from_the_start_and_survives_nan() -> None:
     assert said["curves"][0]["x"] == [0, 1, 2, 3, 4]
     assert said["curves"][0]["y"] == [1, None, None, 2, 3]
     assert "</script>" not in data_block(said).removesuffix("</script>")
+
+
+def test_a_band_that_is_even_has_half_its_width() -> None:
+    """About zero or about a curve; one that is not has both sides."""
+    x, y, half = np.arange(4.0), np.array((10.0, 20.0, np.nan, 40.0)), np.array((1.0, 2, 3, np.nan))
+    said = panel_data(
+        Panel(
+            title="t", x_label="time [s]",
+            curves=(Curve("a", "#000", x, x), Curve("b", "#000", x, y)),
+            bands=(
+                FilledBand(name="zero", colour="#000", x=x, low=-half, high=half),
+                FilledBand(name="b", colour="#000", x=x, low=y - half, high=y + half, about="b"),
+                FilledBand(name="no", colour="#000", x=x, low=0.0 * half, high=half),
+            ),
+        ),
+        0.0,
+    )["bands"]  # fmt: skip
+    assert (said[0]["half"], said[0]["about"]) == ([1, 2, 3, None], None)
+    assert (said[1]["half"], said[1]["about"]) == ([1, 2, None, None], 1)
+    assert (said[2]["low"], said[2]["high"]) == ([0, 0, 0, None], [1, 2, 3, None])
+
+
+def test_where_a_band_is_not_is_said() -> None:
+    x, half = np.arange(2000.0), np.where(np.arange(2000) < 1500, np.nan, 1.0)
+    band = FilledBand(name="3 sigma", colour="#000", x=x, low=-half, high=half, lack="why")
+    panel = Panel(title="t", x_label="lag", curves=(), bands=(band,), lacks=("no NEES",))
+    assert panel.lacking == ["no NEES", "no 3 sigma at 1,500 of 2,000 instants: why"]
+    assert panel_data(panel, 0.0)["lacks"] == panel.lacking
+    assert replace(band, low=x, high=x).gap == ""
+
+
+def test_a_list_of_x_is_on_the_page_once() -> None:
+    time_s, value = np.arange(5.0), np.ones(5)
+    panels = [
+        Panel(title=title, x_label="time [s]", curves=(Curve("c", "#000", at, value),), bands=())
+        for title, at in (("a", time_s), ("b", time_s.copy()), ("c", time_s + 1.0))
+    ]
+    data = curve_data(panels, 0.0)
+    assert [panel["curves"][0]["x"] for panel in data["panels"]] == [0, 0, 1]
+    assert data["axes"] == [(0, 1, 2, 3, 4), (1, 2, 3, 4, 5)]
+
+
+def test_curves_over_the_same_x_are_thinned_together() -> None:
+    """The panel's own number of points holds, and no curve loses its extremes."""
+    x, first, second = np.arange(50_000.0), spiky(), np.roll(spiky(), 777)
+    curves = (Curve("a", "#000", x, first), Curve("b", "#000", x, second))
+    data = panel_data(Panel(title="t", x_label="lag", curves=curves, bands=(), points=500), 0.0)
+    a, b = data["curves"]
+    assert a["x"] == b["x"]
+    assert len(a["x"]) <= 500
+    assert 3e4 in a["y"]
+    assert -2e4 in b["y"]
 
 
 def test_colours_of_variance_ratios_diverge_at_one() -> None:

@@ -18,8 +18,11 @@ from comparisons.jobs.grading import check_external
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.pipeline.solve import solve
+from comparisons.report.html.page import page
 from comparisons.report.run import RunReport
+from comparisons.report.solution import SolutionReport
 from research.trust.odometry_drives import drive
+from tests.comparisons.browser import noted
 from tests.helpers import compared, present
 
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
@@ -54,13 +57,30 @@ def test_a_report_has_the_names(run: Comparison, tmp_path: Path) -> None:
         lines = (tmp_path / "out" / name / "landmarks.csv").read_text().splitlines()
         assert lines[1].startswith('"oak, old",')
         assert lines[2].startswith("<b>elm</b>,")
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "landmark oak, old: " in page
-    assert "<td>&lt;b&gt;elm&lt;/b&gt;</td>" in page
-    assert "<b>elm" not in page
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "landmark oak, old: " in text
+    assert "<td>&lt;b&gt;elm&lt;/b&gt;</td>" in text
+    assert "<b>elm" not in text
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert json.loads(result["log"]["provenance"]["labels"])["post 0"] == 2
     assert run.ekf.estimate.to_pandas("landmarks")["label"].tolist()[:2] == NAMES[:2]
+
+
+@pytest.mark.browser
+def test_the_map_of_a_solution_has_the_names(log: Log, tmp_path: Path) -> None:
+    """Without a table of landmarks, too, and a link may ask for one by its name."""
+    report = tmp_path / "report.html"
+    report.write_text(page(SolutionReport.of(solve(log)).page()), encoding="utf-8")
+    steps = """
+    noted.names = [...document.querySelectorAll('.names text')].map(one => one.textContent);
+    location.hash = 'landmark=' + encodeURIComponent('<b>elm</b>');
+    await new Promise(done => setTimeout(done, 50));
+    noted.chosen = document.getElementById('chosen').textContent;
+    """
+    shown = noted(report, tmp_path, steps)
+    assert set(shown["names"]) <= set(NAMES)
+    assert {"oak, old", "<b>elm</b>"} <= set(shown["names"])
+    assert shown["chosen"] == "smoother, landmark <b>elm</b>"
 
 
 @pytest.mark.slow

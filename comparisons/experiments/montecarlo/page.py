@@ -16,7 +16,7 @@ from comparisons.experiments.montecarlo.external import TIMEOUT_S, ExternalProgr
 from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, FilterPair, per_run
 from comparisons.experiments.montecarlo.verdict import study_verdict
-from comparisons.report.html.curves import data_block, panel_data
+from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.shell import again, document, number, script, sortable, table
 from comparisons.report.marks import TIME, Curve, FilledBand, Panel
 from comparisons.report.notebook import framed
@@ -89,9 +89,7 @@ def study_page(outcome: StudyOutcome, remarks: list[str], repeated: str | None =
         f"Student's t for the mean; p is the two-sided sign test's. A finding is by either, "
         f"both tests of all {rows} rows corrected together (Bonferroni, {_LEVEL} for the whole "
         "table). A lower error is better; a NEES is best near its degrees of freedom, 3.</p>",
-        data_block(
-            {"start": 0.0, "panels": [panel_data(panel, 0.0) for panel in _panels(outcome)]}
-        ),
+        data_block({"start": 0.0, **curve_data(_panels(outcome), 0.0)}),
     ]
     return document(f"{outcome.scenario}: Monte Carlo", parts, script(_SCRIPTS))
 

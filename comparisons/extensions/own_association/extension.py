@@ -169,7 +169,7 @@ def _costliest(check: OwnAssociationCheck, run: EkfRun) -> str:
     theirs, ours = check.cost[worst]
     return (
         f"; the residual of measurement {row} at {t:.1f} s is {theirs**0.5:.1f} sigma with the "
-        f"filter's landmark {run.estimate.landmark_id[run.landmark_index[row]]} and "
+        f"filter's landmark {run.estimate.names[run.landmark_index[row]]} and "
         f"{ours**0.5:.1f} sigma with the smoother's own"
     )
 

@@ -145,7 +145,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
 
     def page(self) -> PageContent:
         """Return what stands on the page."""
-        f, path = self.found, partial(Track, time_s=self.found.time_s)
+        f, path = self.found, partial(Track, time_s=self.found.time_s, against_time=False)
         others = [path(name="scan odometry", colour=EKF_COLOUR, dashes="5 3", pose=f.odometry)]
         if f.wheels is not None:
             others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))

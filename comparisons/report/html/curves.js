@@ -1,6 +1,15 @@
 (() => {
   const holder = document.getElementById('curves');
-  const HEIGHT = 132, LEFT = 52, RIGHT = 16, TOP = 6, BOTTOM = 20, LEAST = 1e-2;
+  const HEIGHT = 132, LEFT = 62, RIGHT = 16, TOP = 6, BOTTOM = 20, LEAST = 1e-2;
+  for (const { curves, bands } of data.panels) {
+    for (const one of [...curves, ...bands]) one.x = data.axes[one.x];
+    for (const band of bands.filter(one => one.half)) {
+      const middle = band.about === null ? band.x.map(() => 0) : curves[band.about].y;
+      const side = sign => band.half.map((h, i) =>
+        h === null || middle[i] === null ? null : middle[i] + sign * h);
+      [band.low, band.high] = [side(-1), side(1)];
+    }
+  }
   const timed = data.panels.filter(panel => panel.timed);
   const ends = timed.flatMap(p => p.curves.flatMap(c => c.x.length ? [c.x[0], c.x.at(-1)] : []));
   const all = ends.length ? [Math.min(...ends), Math.max(...ends)] : [0, 1];
@@ -61,6 +70,8 @@
         caption.append(name);
         return value;
       });
+      for (const lack of panel.lacks) caption.append(text('span', lack, 'lack'));
+      this.unit = panel.title.match(/\[([^\]]+)\]$/)?.[1] ?? '';
       this.svg = make('svg', { class: 'curve', tabindex: 0, role: 'img', 'aria-label': panel.title });
       this.figure.append(caption, this.svg);
       holder.append(this.figure);
@@ -162,15 +173,18 @@
       for (const v of marks) {
         const y = this.scale(panel.log ? 10 ** v : v);
         make('line', { x1: LEFT, x2: right, y1: y, y2: y, class: 'grid' }, svg);
+        const figure = panel.log ? round(10 ** v, 2) : Math.abs(v) < 1e5 ? v : v.toExponential(1);
         make('text', { x: LEFT - 6, y: y + 3.5, class: 'tick side' }, svg).textContent =
-          panel.log ? round(10 ** v, 2) : Math.abs(v) < 1e5 ? v : v.toExponential(1);
+          `${figure} ${this.unit}`.trim();
       }
       const shift = panel.timed ? data.start : 0, [a, b] = this.span;
       for (const t of ticks(a + shift, b + shift, this.width / 90)) {
         const x = this.across(t - shift);
         make('line', { x1: x, x2: x, y1: TOP, y2: bottom, class: 'grid' }, svg);
         const tick = make('text', { x, y: bottom + 14, class: 'tick' }, svg);
-        tick.textContent = panel.timed && !data.event ? `${t} s` : t;
+        tick.textContent = panel.timed && !data.event ? `${t} s` : `${panel.x} ${t}`;
+        const over = x + tick.getComputedTextLength() / 2 - this.width;
+        if (over > 0) tick.setAttribute('x', x - over);
       }
       make('path', { d: `M${LEFT},${TOP}V${bottom}H${right}`, class: 'axis' }, svg);
     }
@@ -184,11 +198,9 @@
       [...panel.curves, ...panel.bands].forEach((one, k) => {
         const i = nearest(one.x, t), shown = v => v === null ? 'none' : round(v, 3);
         if (!one.x.length) return;
-        const symmetric = one.low && one.low[i] === -one.high[i];
-        const none = one.lack ? `no band: ${one.lack}` : 'no band';
         this.values[k].textContent = one.y ? shown(one.y[i])
-          : one.low[i] === null || one.high[i] === null ? none
-          : symmetric ? `± ${shown(one.high[i])}` : `${shown(one.low[i])} to ${shown(one.high[i])}`;
+          : one.low[i] === null || one.high[i] === null ? 'none'
+          : one.half ? `± ${shown(one.half[i])}` : `${shown(one.low[i])} to ${shown(one.high[i])}`;
       });
     }
     listen() {

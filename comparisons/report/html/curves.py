@@ -12,10 +12,8 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.figures import json_text
 from comparisons.report.html.shell import themed
-from comparisons.report.marks import EVENT, TIME, Panel
+from comparisons.report.marks import DIGITS, MOST_POINTS, FilledBand, Panel
 
-MOST_POINTS = 2000
-_DIGITS = 4
 _LARGE = 1e9
 
 
@@ -39,29 +37,37 @@ def thinned(*values: Array, most: int = MOST_POINTS) -> Index:
 
 
 def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
-    """For the script. Times and events count from start_s; figures are rounded to what is seen."""
-    timed = panel.x_label in (TIME, EVENT)
-    start = start_s if timed else 0.0
+    """For the script. Times and events count from start_s; figures are rounded to what is seen.
+
+    What stands over the same x is thinned together, so that it still does.
+    """
+    start = start_s if panel.timed else 0.0
+    over: dict[int, list[Array]] = {}
+    for curve in panel.curves:
+        over.setdefault(id(curve.x), []).append(curve.y)
+    for band in panel.bands:
+        over.setdefault(id(band.x), []).extend((band.low, band.high))
+    rows = {key: thinned(*values, most=panel.points) for key, values in over.items()}
     curves, bands = [], []
     for curve in panel.curves:
-        row = thinned(curve.y)
+        row = rows[id(curve.x)]
         curves.append(
             {"name": curve.name, "colour": themed(curve.colour),
-             "x": rounded(curve.x[row] - start, 3), "y": short(curve.y[row])}
+             "x": rounded(curve.x[row] - start, 3), "y": short(curve.y[row], panel.digits)}
         )  # fmt: skip
     for band in panel.bands:
-        row = thinned(band.low, band.high)
+        row = rows[id(band.x)]
         bands.append(
             {"name": band.name, "colour": themed(band.colour),
-             "x": rounded(band.x[row] - start, 3),
-             "low": short(band.low[row]), "high": short(band.high[row]), "lack": band.lack}
+             "x": rounded(band.x[row] - start, 3), **_sides(band, row, panel)}
         )  # fmt: skip
     return {
         "title": panel.title,
         "x": panel.x_label,
-        "timed": timed,
+        "timed": panel.timed,
         "log": panel.logarithmic,
         "level": panel.level,
+        "lacks": panel.lacking,
         "curves": curves,
         "bands": bands,
         "moments": [
@@ -71,9 +77,25 @@ def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
     }
 
 
-def curve_data(panels: Iterable[Panel], start_s: float) -> list[dict[str, Any]]:
-    """All panels, in order."""
-    return [panel_data(panel, start_s) for panel in panels]
+def _sides(band: FilledBand, row: Index, panel: Panel) -> dict[str, Any]:
+    """Low and high, or half the width of what is even about zero or about a curve."""
+    low, high = band.low[row], band.high[row]
+    if band.about:
+        names = [curve.name for curve in panel.curves]
+        return {"half": short(0.5 * (high - low)), "about": names.index(band.about)}
+    if np.array_equal(low, -high, equal_nan=True):
+        return {"half": short(high), "about": None}
+    return {"low": short(low), "high": short(high)}
+
+
+def curve_data(panels: Iterable[Panel], start_s: float) -> dict[str, Any]:
+    """All panels, in order, with the number of the list of x in place of each list."""
+    axes: dict[tuple[float, ...], int] = {}
+    every = [panel_data(panel, start_s) for panel in panels]
+    for panel in every:
+        for drawn in (*panel["curves"], *panel["bands"]):
+            drawn["x"] = axes.setdefault(tuple(drawn["x"]), len(axes))
+    return {"axes": list(axes), "panels": every}
 
 
 def data_block(data: object) -> str:
@@ -84,9 +106,9 @@ def data_block(data: object) -> str:
     return f'<script type="application/json" id="data">{text}</script>'
 
 
-def short(values: Iterable[float]) -> list[float | None]:
-    """Rounded to four digits; none where not finite."""
-    return [_short(float(v)) for v in values]
+def short(values: Iterable[float], digits: int = DIGITS) -> list[float | None]:
+    """Rounded to so many digits; none where not finite."""
+    return [_short(float(v), digits) for v in values]
 
 
 def rounded(values: Array, decimals: int) -> list[float]:
@@ -95,12 +117,12 @@ def rounded(values: Array, decimals: int) -> list[float]:
     return [_plain(v) for v in near]
 
 
-def _short(value: float) -> float | None:
+def _short(value: float, digits: int) -> float | None:
     if not isfinite(value):
         return None
     if value == 0.0:
         return 0
-    return _plain(round(value, _DIGITS - 1 - floor(log10(abs(value)))))
+    return _plain(round(value, digits - 1 - floor(log10(abs(value)))))
 
 
 def _plain(value: float) -> float:

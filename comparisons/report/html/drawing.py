@@ -70,10 +70,13 @@ class Drawing:
         labels: Sequence[str],
         keys: Sequence[object],
         fills: Sequence[str] = (),
-        *,
-        shown: bool = True,
+        legend: str = "",
     ) -> None:
-        """Points (N, 2) to point at, each with a label and a key; fills: their own colours."""
+        """Points (N, 2) to point at, each with a label and a key.
+
+        fills: their own colours. legend: the page's element that explains these; such a layer is
+        hidden at first.
+        """
         shapes = []
         for i, (x, y) in enumerate(self._places(point).tolist()):
             if np.isfinite(x + y):
@@ -83,7 +86,16 @@ class Drawing:
                     f"{fill}><title>{escape(labels[i])}</title></circle>"
                 )
         kind = "layer filled" if fills else "layer"
-        self._add(name, colour, "".join(shapes), shown=shown, kind=kind)
+        self._add(name, colour, "".join(shapes), shown=not legend, kind=kind, legend=legend)
+
+    def coloured(self, name: str, colour: str, track: str, classes: str, legend: str) -> None:
+        """A path that the script draws again in colours, hidden at first.
+
+        track: of which. classes: a digit for the colour of each of its points, `.` for none.
+        legend: the page's element that is shown with it.
+        """
+        shapes = f'<g data-of="{escape(track)}" data-classes="{classes}"></g>'
+        self._add(name, colour, shapes, shown=False, kind="layer errors", legend=legend)
 
     def links(
         self,
@@ -127,9 +139,17 @@ class Drawing:
         return result
 
     def _add(
-        self, name: str, colour: str, shapes: str, *, shown: bool = True, kind: str = "layer"
+        self,
+        name: str,
+        colour: str,
+        shapes: str,
+        *,
+        shown: bool = True,
+        kind: str = "layer",
+        legend: str = "",
     ) -> None:
         hidden = "" if shown else ' display="none"'
+        hidden += f' data-legend="{legend}"' if legend else ""
         paint = escape(themed(colour))
         self.layers.append(
             f'<g class="{kind}" data-name="{escape(name)}" stroke="{paint}" '

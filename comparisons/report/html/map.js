@@ -5,8 +5,9 @@
   const marks = [...map.querySelectorAll('circle[data-key]')];
   const names = make('g', { class: 'layer names', 'data-name': 'landmark names',
     stroke: 'var(--ink)', fill: 'var(--ink)' });
-  const called = new Map([...document.querySelectorAll('#landmarks tr[data-key]')]
-    .map(row => [row.dataset.key, row.cells[0].textContent]));
+  const called = new Map([...Object.entries(data.names),
+    ...[...document.querySelectorAll('#landmarks tr[data-key]')]
+      .map(row => [row.dataset.key, row.cells[0].textContent])]);
   for (const c of new Map(marks.map(mark => [mark.dataset.key, mark])).values()) {
     const name = make('text', { x: c.cx.baseVal.value, y: c.cy.baseVal.value }, names);
     name.textContent = called.get(c.dataset.key) ?? c.dataset.key;
@@ -15,7 +16,35 @@
   const ring = make('circle', { class: 'ring', visibility: 'hidden' }, world);
   const pixels = () => map.getScreenCTM()?.a || 1;
 
+  // Metres to the east and to the north, on the map's lower and left edge.
+  const ruler = make('svg', { id: 'ruler' }, document.getElementById('frame'));
+  const [west, north] = [Number(map.dataset.west), Number(map.dataset.north)];
+  const ruled = () => {
+    const edge = map.getBoundingClientRect(), at = map.getScreenCTM();
+    ruler.replaceChildren();
+    if (!at?.a) return;
+    const marked = (start, end, place) => {
+      const step = niceStep(Math.abs(end - start) / Math.abs(place(end) - place(start)) * 130);
+      for (let k = Math.ceil(Math.min(start, end) / step); k * step <= Math.max(start, end); k++) {
+        const value = round(k * step, 9), p = place(value), side = place === across;
+        const end = side ? edge.height : edge.width;
+        if (p < 45 || p > (side ? edge.width : edge.height) - 30) continue;
+        make('path', { d: side ? `M${p},${end}v-6` : `M0,${p}h6` }, ruler);
+        const label = make('text', side ? { x: p, y: end - 9, 'text-anchor': 'middle' }
+          : { x: 9, y: p + 3.5 }, ruler);
+        label.textContent = `${value} m`;
+      }
+    };
+    const across = east => (east - west) / metres * at.a + at.e - edge.left;
+    const down = y => (north - y) / metres * at.d + at.f - edge.top;
+    const left = west + (edge.left - at.e) / at.a * metres;
+    const top = north - (edge.top - at.f) / at.d * metres;
+    marked(left, left + edge.width / at.a * metres, across);
+    marked(top - edge.height / at.d * metres, top, down);
+  };
+
   const sized = () => {
+    ruled();
     const unit = 1 / pixels();
     for (const c of marks) c.setAttribute('r', (c.hasAttribute('fill') ? 5.5 : 2.6) * unit);
     for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 7 * unit);
@@ -84,6 +113,7 @@
     if (down.size === 2 && apart() > 0) zoomed(from, far / apart());
     const p = place(between());
     box.x += from.x - p.x; box.y += from.y - p.y;
+    ruled();
     held();
   });
   const lifted = e => { if (down.delete(e.pointerId)) held(); };
@@ -158,7 +188,21 @@
     }
   });
 
-  const bar = document.getElementById('layers'), legend = document.getElementById('ratio-legend');
+  // A path in the colours of its errors: of each colour one line, of pieces between two points.
+  for (const group of map.querySelectorAll('[data-classes]')) {
+    const { values } = tracks.find(track => track.now.dataset.of === group.dataset.of);
+    const pieces = data.errorColours.map(() => []);
+    [...group.dataset.classes].forEach((digit, i) => {
+      const colour = Number.parseInt(digit, 32);
+      if (i && colour >= 0) pieces[colour].push(`M${values.slice(2 * i - 2, 2 * i + 2).join(' ')}`);
+    });
+    pieces.forEach((d, k) => {
+      if (d.length) make('path', { d: d.join(''), stroke: data.errorColours[k] }, group);
+    });
+  }
+
+  const bar = document.getElementById('layers');
+  const legends = new Map([...document.querySelectorAll('.legend')].map(one => [one.id, new Set()]));
   for (const g of map.querySelectorAll('.layer')) {
     const label = document.createElement('label'), tick = document.createElement('input');
     const swatch = text('span', '', 'swatch');
@@ -166,11 +210,15 @@
     tick.checked = g.getAttribute('display') !== 'none';
     const shown = () => {
       if (tick.checked) g.removeAttribute('display'); else g.setAttribute('display', 'none');
-      if (g.dataset.name === data.ratioLayer) legend.hidden = !tick.checked;
+      const shows = legends.get(g.dataset.legend);
+      if (!shows) return;
+      if (tick.checked) shows.add(g); else shows.delete(g);
+      document.getElementById(g.dataset.legend).hidden = !shows.size;
     };
     tick.addEventListener('change', shown);
     shown();
     if (g.classList.contains('filled')) swatch.classList.add('diverging');
+    else if (g.classList.contains('errors')) swatch.classList.add('sequential');
     else swatch.style.background = g.getAttribute('stroke');
     label.append(tick, swatch, g.dataset.name);
     bar.append(label);

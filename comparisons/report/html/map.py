@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,11 +13,14 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.report.html.curves import short
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
+from comparisons.report.html.errors import draw_errors, largest_error_m
+from comparisons.report.html.shell import colour_bar
 from comparisons.report.marks import SCANS_COLOUR, ellipses
+from comparisons.report.track_errors import TrackErrors
 
 MOST_LANDMARKS = 1000
 """Landmarks that the page has, each with two ellipses, three marks and a row."""
-RATIO_LAYER = "variance ratio, least"
+_RATIO_LEGEND = "ratio-legend"
 _SIGMAS = 3.0
 _FAR = 4.0
 """Points that lie so many times the map's own size outside of it do not stretch it."""
@@ -35,7 +38,8 @@ class Track:
 
     time_s: (K,) and pose: (K, 2 or more), its trajectory. landmark: (m, 2) of the map's marked
     landmarks, NaN where it has one not; landmark_covariance: (m, 2, 2). None without any.
-    pose_covariance: (K, 2 or more, 2 or more), of east and north first.
+    pose_covariance: (K, 2 or more, 2 or more), of east and north first. against_time: whether it is
+    drawn so, too.
     """
 
     name: str
@@ -46,6 +50,7 @@ class Track:
     landmark: Array | None = None
     landmark_covariance: Array | None = None
     pose_covariance: Array | None = None
+    against_time: bool = True
 
 
 def estimate_track(
@@ -75,18 +80,22 @@ class MapContent:
 
     log: none of an estimate alone. tracks: the second, on top of all, is compared with the first.
     keys, labels, ratio: (m,) of the marked landmarks: what tables know them by, their labels, and
-    the least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
-    widen the map unless they are far away. beneath, above: what else is drawn.
+    the least variance of the second over the first's. names: of those that have another name than
+    their key and stand in no table. view: points (N, 2) that must be seen; tracks
+    widen the map unless they are far away. beneath, above: what else is drawn. errors: of tracks,
+    by their names, and of other paths.
     """
 
     log: Log | None
     tracks: Sequence[Track]
     keys: Sequence[object] = ()
     labels: Sequence[str] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
     ratio: Array = field(default_factory=lambda: np.empty(0))
     view: Sequence[Array]
     beneath: Sequence[Draws] = ()
     above: Sequence[Draws] = ()
+    errors: Sequence[TrackErrors] = ()
 
 
 def estimate_map(
@@ -104,6 +113,7 @@ def estimate_map(
     marked = farthest(np.zeros(len(estimate.landmark)))
     ids = estimate.landmark_id[marked]
     beneath = [*all_landmarks("all landmarks", estimate.landmark, marked)]
+    names = dict(zip(ids.tolist(), [estimate.names[i] for i in marked.tolist()], strict=True))
     view = [estimate.pose[:, :2], estimate.landmark, estimate.pose_landmarks[:, :2]]
     if cloud is not None:
         said, points = cloud
@@ -113,20 +123,21 @@ def estimate_map(
         log=log,
         tracks=[estimate_track(name, colour, estimate, ids), *others],
         keys=ids.tolist(),
-        labels=[f"landmark {estimate.names[i]}" for i in marked.tolist()],
+        labels=[f"landmark {name}" for name in names.values()],
+        names={str(key): name for key, name in names.items() if name != str(key)},
         view=view,
         beneath=beneath,
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DrawnMap:
     """The drawing, and data for the script.
 
     times: [s] of each track's points, by its name. spreads: of those with covariances the variance
     to the east, the covariance and the variance to the north [m^2] of every point. decades: the
     colours of the variance ratio end at 10 to the power of so much, either way. outside: tracks
-    that lie off the map, in part.
+    that lie off the map, in part. largest_m: where the colours of errors end.
     """
 
     drawing: Drawing
@@ -134,6 +145,7 @@ class DrawnMap:
     spreads: dict[str, list[list[float | None]]]
     decades: float
     outside: list[str]
+    largest_m: float
 
 
 def draw_map(c: MapContent) -> DrawnMap:
@@ -160,9 +172,20 @@ def draw_map(c: MapContent) -> DrawnMap:
                 outline = ellipses(track.landmark, track.landmark_covariance, _SIGMAS, 32)
                 drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, reported)
             drawing.marks(f"{name} landmarks", colour, track.landmark, reported, c.keys)
+    largest_m = largest_error_m(c.errors, list(times))
+    for errors in c.errors:
+        if errors.name in times:
+            draw_errors(drawing, errors, np.array(times[errors.name]), largest_m)
     for draw in c.above:
         draw(drawing)
-    return DrawnMap(drawing, times, spreads, _differences(drawing, c), outside)
+    return DrawnMap(
+        drawing=drawing,
+        times=times,
+        spreads=spreads,
+        decades=_differences(drawing, c),
+        outside=outside,
+        largest_m=largest_m,
+    )
 
 
 def _bounded(c: MapContent) -> tuple[Drawing, list[str]]:
@@ -218,7 +241,8 @@ def _differences(drawing: Drawing, c: MapContent) -> float:
         pairs = zip(c.labels, c.ratio.tolist(), strict=True)
         reported = [f"{label}; variance ratio {ratio:.3g}" for label, ratio in pairs]
         colours = ratio_colours(c.ratio, decades)
-        drawing.marks(RATIO_LAYER, "#666666", second, reported, c.keys, colours, shown=False)
+        look = ("variance ratio, least", "#666666")
+        drawing.marks(*look, second, reported, c.keys, colours, _RATIO_LEGEND)
     return decades
 
 
@@ -240,19 +264,9 @@ def ratio_legend(decades: float) -> str:
     """The colours of the variance ratio with their figures."""
     place = np.linspace(-decades, decades, 41)
     colours = ratio_colours(10.0**place, decades)
-    blocks = "".join(
-        f'<rect x="{4 * i + 10}" y="0" width="4.3" height="10" fill="{c}"/>'
-        for i, c in enumerate(colours)
-    )
-    words = "".join(
-        f'<text x="{10 + 82 * (1 + share):.0f}" y="22">{10.0 ** (share * decades):.2g}</text>'
-        for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
-    )
-    return (
-        '<div id="ratio-legend" hidden><span>the filter is too sure</span>'
-        f'<svg viewBox="0 0 184 24" role="img" aria-label="variance ratio">{blocks}{words}</svg>'
-        "<span>too careful</span></div>"
-    )
+    words = [f"{10.0 ** (share * decades):.2g}" for share in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    ends = ("the filter is too sure", "too careful")
+    return colour_bar(_RATIO_LEGEND, "variance ratio", colours, words, ends)
 
 
 def _decades(ratio: Array) -> float:

@@ -6,7 +6,7 @@ What a section needs is loaded where the page has it: an audit's page knows noth
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,10 +106,11 @@ def page(content: PageContent) -> str:
     where = when = ""
     if c.map is not None:
         where, data = _where(c.map, start_s, _ROW if c.landmarks else "")
-    event = any(panel.x_label == EVENT for panel in c.panels)
-    data |= {"start": start_s, "event": event, "panels": curve_data(c.panels, start_s)}
+    panels = sorted([*c.panels, *_over_time(c)], key=lambda panel: not panel.timed)
+    event = any(panel.x_label == EVENT for panel in panels)
+    data |= {"start": start_s, "event": event, **curve_data(panels, start_s)}
     now = '<output id="now"></output>'
-    if c.panels or c.reported:
+    if panels or c.reported:
         when = (
             f'<section id="when"><h2>Curves {"" if where else now}</h2>'
             f'<p class="note">{escape(c.reported)}</p>'
@@ -162,13 +163,33 @@ def _top(c: PageContent, where: str) -> str:
             f"<dl>{facts}</dl>{_remarks(c.remarks)}{again(c.job) if c.job else ''}</section>",
         ]
     )
-    drawn = f'<div class="column">{where}{gaps}</div>' if where or gaps else ""
+    drawn = f'<div class="column">{where}{_errors(c.map)}{gaps}</div>' if where or gaps else ""
     return f'<div id="top"><div class="column">{told}</div>{drawn}</div>'
+
+
+def _over_time(c: PageContent) -> list[Panel]:
+    """The paths of the map against time, marked as the other curves are."""
+    if c.map is None:
+        return []
+    from comparisons.report.html.paths import path_panels
+
+    moments = next((panel.moments for panel in c.panels if panel.moments), ())
+    return [replace(panel, moments=moments) for panel in path_panels(c.map)]
+
+
+def _errors(content: MapContent | None) -> str:
+    """The statistics of the errors that colour the map."""
+    if content is None:
+        return ""
+    from comparisons.report.html.errors import error_table
+
+    return error_table(content.errors)
 
 
 def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[str, object]]:
     """The map, and what the script has to know of it. more: that can be done with it."""
-    from comparisons.report.html.map import RATIO_LAYER, draw_map, ratio_legend
+    from comparisons.report.html.errors import error_colours, error_legend
+    from comparisons.report.html.map import draw_map, ratio_legend
 
     drawn = draw_map(content)
     off = "".join(f"The {name} trajectory leaves the map. " for name in drawn.outside)
@@ -176,11 +197,17 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
     return (
         '<section id="where"><h2>Map</h2><div id="layers"></div>'
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
-        f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>'
+        f"{ratio_legend(drawn.decades)}{error_legend(content.errors, drawn.largest_m)}"
+        f'<p id="chosen" role="status"></p>'
         f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
         f'double click for all{more}.</span><span class="hand touch">Pinch to zoom, drag to '
         f"move{more}.</span></p></section>",
-        {"tracks": tracks, "spreads": drawn.spreads, "ratioLayer": RATIO_LAYER},
+        {
+            "tracks": tracks,
+            "spreads": drawn.spreads,
+            "names": content.names,
+            "errorColours": error_colours(),
+        },
     )
 
 

@@ -135,6 +135,35 @@ def number(value: float | None) -> str:
     return f"{value:.3g}"
 
 
+def colour_bar(
+    legend: str,
+    title: str,
+    colours: Sequence[str],
+    words: Sequence[str],
+    ends: tuple[str, str] = ("", ""),
+) -> str:
+    """Return a legend, hidden at first: colours from left to right, and words evenly below them.
+
+    legend: its id. ends: what stands left and right of it. Without these the title stands left.
+    """
+    width = 164.0 / len(colours)
+    blocks = "".join(
+        f'<rect x="{10 + width * i:.1f}" width="{width + 0.3:.1f}" height="10" fill="{colour}"/>'
+        for i, colour in enumerate(colours)
+    )
+    step = 164.0 / (len(words) - 1)
+    figures = "".join(
+        f'<text x="{10 + step * i:.0f}" y="22">{escape(word)}</text>'
+        for i, word in enumerate(words)
+    )
+    left, right = ends
+    return (
+        f'<div id="{legend}" class="legend" hidden><span>{escape(left or title)}</span>'
+        f'<svg viewBox="0 0 184 24" role="img" aria-label="{escape(title)}">{blocks}{figures}</svg>'
+        f"<span>{escape(right)}</span></div>"
+    )
+
+
 def picture(title: str, png: bytes) -> str:
     """A PNG within the page. title: any text."""
     data = base64.b64encode(png).decode("ascii")

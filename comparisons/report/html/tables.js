@@ -57,7 +57,8 @@
     if (said.has('landmark')) {
       const rows = [...document.querySelectorAll('#landmarks tbody tr')], sought = said.get('landmark');
       const row = rows.find(one => one.cells[0].textContent === sought);
-      tell('landmark', { key: row ? row.dataset.key : sought, from: 'link' });
+      const named = Object.entries(data.names ?? {}).find(([, name]) => name === sought);
+      tell('landmark', { key: row ? row.dataset.key : named ? named[0] : sought, from: 'link' });
     }
   };
   obey();
