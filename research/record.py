@@ -122,9 +122,13 @@ class Section(_Strict):
 
 
 class Registry(_Strict):
-    """All that is or may be recorded. about: stands on the page that lists the others."""
+    """All that is or may be recorded.
+
+    about, after: what the page that lists the others begins and ends with.
+    """
 
     about: str
+    after: str = ""
     section: tuple[Section, ...]
 
     @property
@@ -267,7 +271,7 @@ def pages(registry: Registry, records: Mapping[str, Record], root: Path = ROOT) 
         found[file] = _joined([*parts, section.after.strip()])
         listed.append(f"- [{section.title}]({file})")
         listed += [f"    - [{one.title}]({file}#{slugify(one.title, '-')})" for one in shown]
-    index = ["# Results", registry.about.strip(), "\n".join(listed)]
+    index = ["# Results", registry.about.strip(), "\n".join(listed), registry.after.strip()]
     return {"results.md": _joined(index), **found}
 
 

@@ -151,7 +151,7 @@ def results_of(word: str, site: Path, profile: Path) -> list[str]:
 
 def test_search_works_from_a_file(site: Path, tmp_path: Path) -> None:
     pages = results_of("whiteness", site, tmp_path)
-    assert {"consistency.html", "result-schema.html"} <= set(pages)
+    assert {"concepts.html", "result-schema.html"} <= set(pages)
     assert results_of("nosuchwordatall", site, tmp_path) == []
 
 
