@@ -105,7 +105,8 @@ def test_a_record_is_shown_with_all_that_it_takes_to_make_it_again(tmp_path: Pat
     text = shown(registry_of(), record_of(tmp_path), tmp_path)
     assert "| a | b |\n| --- | --- |\n| 1 | 2\\|3 |" in text
     assert "```text\nwords\n```\n\n| c |\n|---|\n| 4 |" in text
-    assert "*`slamcheck run` · commit 0123456789 · 2026-01-01 · seeds 0 to 9 · C, 2 cores" in text
+    assert "*`slamcheck run` · commit 0123456789 · 2026-01-01 · seeds 0 to 9 · machine 1" in text
+    assert text.endswith("\n\n*Machine 1: C, 2 cores, S, Python 3.*\n")
     assert "1.0 min of processor time · [record](results/records/one.json)" in text
     assert STALE not in text
 
