@@ -1,6 +1,7 @@
 """Hooks of the documentation's build: generated pages, links to code, formulas.
 
-The README is the first page; the changelog and CONTRIBUTING.md are pages of their own. The pages on
+The README is the first page, its doors side by side, with a list of all pages from mkdocs.yml; the
+changelog and CONTRIBUTING.md are pages of their own. The pages on
 the command line, the configuration, the fields of results and the public interface are made from
 the code. Links to files of the project that are no page become their path as code. Formulas become
 MathML, so that no script and no network is needed.
@@ -21,6 +22,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from latex2mathml.converter import convert
 from markdown.extensions.toc import slugify
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -44,6 +46,8 @@ ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
 _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
 _NUMBER = re.compile(r"<td>(?=[-+\d.,e %]+</td>)")
+_DOOR = re.compile(r'<h3 id="i-have-.*?</ol>', re.DOTALL)
+_DOORS = re.compile(rf"(?:{_DOOR.pattern}\s*)+", re.DOTALL)
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 
 RESULTS: dict[str, tuple[type, ...]] = {
@@ -228,8 +232,25 @@ def _moved(text: str) -> str:
     return text.replace("](CONTRIBUTING.md)", "](contributing.md)")
 
 
+def _page_list(config: MkDocsConfig, files: set[str]) -> str:
+    """Return the list of all pages in the navigation's order: for whom each is, and what for.
+
+    Raises PluginError for a page that mkdocs.yml does not name twice: in `nav` and `extra.pages`.
+    """
+    purposes: Mapping[str, tuple[str, str]] = config.extra["pages"]
+    rows, listed = ["| page | for | what it has |", "|---|---|---|"], set[str]()
+    for section, pages in (item for part in config.nav or () for item in part.items()):
+        rows.append(f"| **{section}** | | |")
+        for title, file in (item for page in pages for item in page.items()):
+            listed.add(file)
+            rows.append(f"| [{title}]({file}) | {' | '.join(purposes.get(file, ()))} |")
+    if lacking := (files ^ listed) | (files ^ set(purposes)):
+        raise PluginError(f"mkdocs.yml: not in both nav and extra.pages: {sorted(lacking)}")
+    return "\n## All pages\n\n" + "\n".join(rows) + "\n"
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made from other files."""
+    """Add the pages that are made from other files. Raises PluginError for a page without place."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     made = {
         "index.md": _moved(readme),
@@ -240,6 +261,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "command-line.md": _command_line(),
         "configuration.md": _configuration(),
     }
+    names = {*made, *(file.src_uri for file in files.documentation_pages())}
+    made["index.md"] += _page_list(config, names)
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))
     return files
@@ -261,7 +284,14 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return _LINK.sub(link, markdown)
 
 
+def _side_by_side(doors: re.Match[str]) -> str:
+    """Return the doors of the first page as parts of one block."""
+    sections = _DOOR.sub(r"<section>\g<0></section>", doors[0])
+    return f'<div class="doors">{sections}</div>'
+
+
 def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Set formulas; keep numbers in tables unbroken."""
+    """Set formulas; keep numbers in tables unbroken; set the first page's doors side by side."""
     content = _NUMBER.sub('<td class="number">', content)
+    content = _DOORS.sub(_side_by_side, content)
     return _FORMULA.sub(lambda found: convert(html.unescape(found[1])), content)

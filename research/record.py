@@ -122,9 +122,13 @@ class Section(_Strict):
 
 
 class Registry(_Strict):
-    """All that is or may be recorded. about: stands on the page that lists the others."""
+    """All that is or may be recorded.
+
+    about, after: what the page that lists the others begins and ends with.
+    """
 
     about: str
+    after: str = ""
     section: tuple[Section, ...]
 
     @property
@@ -262,13 +266,22 @@ def pages(registry: Registry, records: Mapping[str, Record], root: Path = ROOT) 
             continue
         file = f"results-{section.name}.md"
         parts = [f"# {section.title}", _MADE, section.about.strip()]
+        machines = list(dict.fromkeys(str(records[table.name].machine) for table in shown))
         for table in shown:
-            parts += _shown(table, records[table.name], root)
-        found[file] = _joined([*parts, section.after.strip()])
+            record = records[table.name]
+            number = 1 + machines.index(str(record.machine))
+            parts += _shown(table, record, root, f"machine {number}")
+        found[file] = _joined([*parts, section.after.strip(), _machines(machines)])
         listed.append(f"- [{section.title}]({file})")
         listed += [f"    - [{one.title}]({file}#{slugify(one.title, '-')})" for one in shown]
-    index = ["# Results", registry.about.strip(), "\n".join(listed)]
+    index = ["# Results", registry.about.strip(), "\n".join(listed), registry.after.strip()]
     return {"results.md": _joined(index), **found}
+
+
+def _machines(machines: Sequence[str]) -> str:
+    """Return what stands behind the numbers of a page's machines."""
+    known = enumerate(machines, start=1)
+    return "*" + " ".join(f"Machine {number}: {machine}." for number, machine in known) + "*"
 
 
 _MADE = "[Results](results.md) says how the results of this page are made, and what *stale* means."
@@ -278,8 +291,8 @@ def _joined(parts: Sequence[str]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _shown(table: Table, record: Record, root: Path) -> Iterator[str]:
-    """One result as Markdown."""
+def _shown(table: Table, record: Record, root: Path, machine: str) -> Iterator[str]:
+    """One result as Markdown. machine: its name on the page."""
     yield f"## {table.title}"
     if state(table, record, root) != FRESH:
         yield STALE
@@ -300,7 +313,7 @@ def _shown(table: Table, record: Record, root: Path) -> Iterator[str]:
     several = "seed" if record.seeds.isdigit() else "seeds"
     seeds = f"{several} {record.seeds}" if record.seeds[0].isdigit() else record.seeds
     yield (
-        f"*{command} · commit {record.commit} · {record.date} · {seeds} · {record.machine} · "
+        f"*{command} · commit {record.commit} · {record.date} · {seeds} · {machine} · "
         f"{record.cpu_s / 60.0:.1f} min of processor time · "
         f"[record](results/records/{record.name}.json)*"
     )

@@ -62,7 +62,7 @@ SHELVES = {
             "research/test_results.py::test_the_pages_in_the_repository_are_those_of_the_records",
             "research/test_results.py::test_earlier_results_are_those_without_a_record",
         ),
-        ("docs/results", "docs/earlier-results.md", "research/re"),
+        ("docs/results", "research/re"),
     ),
     "equations": Shelf(
         _tests("test_equations.py::test_commands_reach_their_equations"),

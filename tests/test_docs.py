@@ -140,13 +140,53 @@ def test_a_field_without_meaning_stops_the_build() -> None:
         hooks._model(Silent, {Silent: "Silent"})
 
 
+def copied(folder: Path) -> Path:
+    """Return a copy of what the documentation is built of."""
+    for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "mkdocs.yml"):
+        shutil.copy(ROOT / name, folder / name)
+    shutil.copytree(ROOT / "docs", folder / "docs")
+    return folder
+
+
 def test_a_dead_link_fails_the_build(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
-    for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "mkdocs.yml"):
-        shutil.copy(ROOT / name, tmp_path / name)
-    shutil.copytree(ROOT / "docs", tmp_path / "docs")
-    page = tmp_path / "docs" / "scale.md"
+    page = copied(tmp_path) / "docs" / "limits.md"
     page.write_text(page.read_text() + "\nSee [this](no-such-page.md).\n")
     done = built(tmp_path, tmp_path / "site")
     assert done.returncode != 0
     assert "no-such-page.md" in done.stderr
+
+
+def test_the_first_page_lists_all_pages(site: Path) -> None:
+    _, _, listed = (site / "index.html").read_text(encoding="utf-8").partition('id="all-pages"')
+    links = set(Links(listed).links)
+    for page in site.glob("*.html"):
+        assert page.name in links or page.stem == "404", page.name
+
+
+def test_a_page_that_is_for_nobody_fails_the_build(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs")
+    (copied(tmp_path) / "docs" / "lost.md").write_text("# Lost\n")
+    done = built(tmp_path, tmp_path / "site")
+    assert done.returncode != 0
+    assert "mkdocs.yml: not in both nav and extra.pages: ['lost.md']" in done.stderr
+
+
+def test_three_doors_lead_to_three_pages_each_in_the_order_of_the_navigation() -> None:
+    """README and navigation have the same doors."""
+    yaml = pytest.importorskip("yaml")
+    sections = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    navigation = {
+        name: [file for page in pages for file in page.values()]
+        for section in sections
+        for name, pages in section.items()
+        if name.startswith("I have")
+    }
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    doors = dict(re.findall(r"^### (I have.*?)\n(.*?)(?=^##)", readme, re.MULTILINE | re.DOTALL))
+    shown = {
+        name: re.findall(r"^\d\. \[.*?\]\(docs/(.*?)\)", text, re.MULTILINE)
+        for name, text in doors.items()
+    }
+    assert shown == navigation
+    assert [len(pages) for pages in shown.values()] == [3, 3, 3]

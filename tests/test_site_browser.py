@@ -5,6 +5,7 @@ import html
 import http.server
 import json
 import re
+import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.comparisons.browser import browse
+from tests.comparisons.browser import browse, look
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 WIDTHS = (1400, 390)
@@ -139,3 +140,22 @@ def test_a_poor_page_is_found(tmp_path: Path) -> None:
     for what in ("2014 px wide", "contrast 2.32 of P", "no picture", "a table is cut off",
                  "nothing is not defined", "loads https://cdn.example/x.js"):  # fmt: skip
         assert what in found
+
+
+def results_of(word: str, site: Path, profile: Path) -> list[str]:
+    """Return the pages that a search lists, in a site that is opened as files, without a server."""
+    dom = look(f"{(site / 'install.html').as_uri()}?q={word}", profile)
+    links = re.findall(r'href="([^"]+)" class="md-search-result__link"', dom)
+    return [link.rpartition("/")[2].partition("#")[0] for link in links]
+
+
+def test_search_works_from_a_file(site: Path, tmp_path: Path) -> None:
+    pages = results_of("whiteness", site, tmp_path)
+    assert {"concepts.html", "result-schema.html"} <= set(pages)
+    assert results_of("nosuchwordatall", site, tmp_path) == []
+
+
+def test_without_a_frame_for_the_worker_a_file_has_no_search(site: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "site")
+    (tmp_path / "site" / "iframe-worker.js").write_text("")
+    assert results_of("whiteness", tmp_path / "site", tmp_path / "profile") == []

@@ -1,7 +1,7 @@
 """Is a log too large for this machine, or for a user who waits? Asked before the work.
 
 The estimates are of a run's peak of memory and its time, fitted to what research/scale.py
-measures (docs/scale.md); a run is refused only where it needs more memory than the machine could
+measures (docs/limits.md); a run is refused only where it needs more memory than the machine could
 give it, and announced where it takes long.
 """
 
@@ -50,7 +50,7 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
         raise InputError(
             f"{log.name}: {poses:,} poses, {measurements:,} measurements and {landmarks:,} "
             f"landmarks need about {need / GIB:.1f} GiB of memory, and {room / GIB:.1f} GiB are "
-            "free; use a part of the log, or a larger machine (docs/scale.md)"
+            "free; use a part of the log, or a larger machine (docs/limits.md)"
         )
 
 

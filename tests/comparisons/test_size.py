@@ -94,7 +94,7 @@ def test_the_need_is_linear_in_poses_and_square_in_landmarks() -> None:
 def test_the_time_is_about_what_was_measured(
     poses: int, landmarks: int, used: str, measured_s: float
 ) -> None:
-    """As docs/scale.md has it."""
+    """As docs/limits.md has it."""
     assert seconds(poses, 9 * poses, landmarks, used) == pytest.approx(measured_s, rel=0.1)
 
 

@@ -105,7 +105,8 @@ def test_a_record_is_shown_with_all_that_it_takes_to_make_it_again(tmp_path: Pat
     text = shown(registry_of(), record_of(tmp_path), tmp_path)
     assert "| a | b |\n| --- | --- |\n| 1 | 2\\|3 |" in text
     assert "```text\nwords\n```\n\n| c |\n|---|\n| 4 |" in text
-    assert "*`slamcheck run` · commit 0123456789 · 2026-01-01 · seeds 0 to 9 · C, 2 cores" in text
+    assert "*`slamcheck run` · commit 0123456789 · 2026-01-01 · seeds 0 to 9 · machine 1" in text
+    assert text.endswith("\n\n*Machine 1: C, 2 cores, S, Python 3.*\n")
     assert "1.0 min of processor time · [record](results/records/one.json)" in text
     assert STALE not in text
 
@@ -261,9 +262,9 @@ def test_earlier_results_are_those_without_a_record() -> None:
     """Each can be made again, names its commit, and goes when it is recorded."""
     registry = read_registry()
     records = read_records(registry)
-    text = (ROOT / "docs/earlier-results.md").read_text(encoding="utf-8")
+    text = registry.after
     rows = re.findall(r"^\| `([a-z0-9-]+)` \| .* \| ([0-9a-f]{7}) \|$", text, re.MULTILINE)
     assert len(rows) == text.count("\n| ") - 1
     for name, _ in rows:
         assert name in registry.tables
-        assert name not in records, f"{name} is recorded: delete its row in earlier-results.md"
+        assert name not in records, f"{name} is recorded: delete its row in results.toml"
