@@ -45,6 +45,7 @@ from research.documents.interface import ReproductionResult
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
 _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
+_LOOKED_UP = re.compile("results-|api|result-schema|command-line|configuration|changes|equations")
 _TABLE = re.compile(r"^#?\[.*\]$", re.MULTILINE)
 _NUMBER = re.compile(r"<td>(?=[-+\d.,e %]+</td>)")
 _DOOR = re.compile(r'<h3 id="i-have-.*?</ol>', re.DOTALL)
@@ -278,7 +279,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn links to what is no page into code."""
+    """Turn links to what is no page into code; let a search list pages that explain first."""
+    if _LOOKED_UP.match(page.file.src_uri):
+        page.meta["search"] = {"boost": 0.2}
 
     def link(found: re.Match[str]) -> str:
         words, target = found[1], found[2]
