@@ -45,6 +45,8 @@ from research.documents.interface import ReproductionResult
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
 _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
+_LOOKED_UP = re.compile("results-|api|result-schema|command-line|configuration|changes|equations")
+_TABLE = re.compile(r"^#?\[.*\]$", re.MULTILINE)
 _NUMBER = re.compile(r"<td>(?=[-+\d.,e %]+</td>)")
 _DOOR = re.compile(r'<h3 id="i-have-.*?</ol>', re.DOTALL)
 _DOORS = re.compile(rf"(?:{_DOOR.pattern}\s*)+", re.DOTALL)
@@ -213,16 +215,24 @@ def _cell(text: str) -> str:
 
 
 def _configuration() -> str:
-    """Return the page of all settings."""
+    """Return the page of all settings; a table that an earlier job has alike is named alone."""
     parts = [
         "# Configuration",
-        "What `slamcheck config JOB` prints: every setting and its default.",
+        "What `slamcheck config JOB` prints: every setting and its default. A table that several "
+        "jobs have alike is printed once.",
     ]
+    jobs = dict[str, str]()
     for job in JobName:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             print_config(job, schema=False)
-        parts.append(f"## {job.value}\n\n```toml\n{printed.getvalue().strip()}\n```")
+        tables = list[str]()
+        for table in printed.getvalue().strip().split("\n\n"):
+            earlier = jobs.setdefault(table, job.value)
+            name = _TABLE.search(table) if earlier != job.value else None
+            tables.append(f"{name[0]}  # as of {earlier}" if name else table)
+        text = "\n\n".join(tables)
+        parts.append(f"## {job.value}\n\n```toml\n{text}\n```")
     return "\n\n".join(parts) + "\n"
 
 
@@ -269,7 +279,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn links to what is no page into code."""
+    """Turn links to what is no page into code; let a search list pages that explain first."""
+    if _LOOKED_UP.match(page.file.src_uri):
+        page.meta["search"] = {"boost": 0.2}
 
     def link(found: re.Match[str]) -> str:
         words, target = found[1], found[2]

@@ -155,6 +155,11 @@ def test_search_works_from_a_file(site: Path, tmp_path: Path) -> None:
     assert results_of("nosuchwordatall", site, tmp_path) == []
 
 
+def test_a_search_lists_pages_that_explain_before_results(site: Path, tmp_path: Path) -> None:
+    pages = results_of("optimism", site, tmp_path)
+    assert pages.index("concepts.html") < pages.index("results-real-logs.html")
+
+
 def test_without_a_frame_for_the_worker_a_file_has_no_search(site: Path, tmp_path: Path) -> None:
     shutil.copytree(site, tmp_path / "site")
     (tmp_path / "site" / "iframe-worker.js").write_text("")
