@@ -31,6 +31,13 @@
     }
   });
 
+  for (const button of document.querySelectorAll('button[data-time]')) {
+    button.addEventListener('click', () => {
+      tell('time', Number(button.dataset.time) - data.start);
+      document.getElementById('when')?.scrollIntoView();
+    });
+  }
+
   // Rows that hold what is sought stay; one whose landmark is called so is shown on the map.
   const find = document.getElementById('find');
   if (find) {
