@@ -199,7 +199,7 @@ def _errors(content: MapContent | None) -> str:
 
 def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[str, object]]:
     """The map, and what the script has to know of it. more: that can be done with it."""
-    from comparisons.report.html.errors import error_colours, error_legend
+    from comparisons.report.html.errors import error_colours, error_legends
     from comparisons.report.html.map import draw_map, ratio_legend
 
     drawn = draw_map(content)
@@ -208,7 +208,7 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
     return (
         '<section id="where"><h2>Map</h2><div id="layers"></div>'
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
-        f"{ratio_legend(drawn.decades)}{error_legend(content.errors, drawn.largest_m)}"
+        f"{ratio_legend(drawn.decades)}{error_legends(content.errors)}"
         f'<p id="chosen" role="status"></p>'
         f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
         f'double click for all{more}.</span><span class="hand touch">Pinch to zoom, drag to '
