@@ -87,6 +87,7 @@ class AuditFinding:
         event: number of the event where it is first seen.
         sensor: the sensor it is of.
         blocks: the blocks it is of.
+        time_s: time of that event, or of the last one before it that has one; None where none has.
     """
 
     check: str
@@ -96,6 +97,7 @@ class AuditFinding:
     _: KW_ONLY
     sensor: str | None = None
     blocks: Blocks = ()
+    time_s: float | None = None
 
 
 class _Resets:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Literal
@@ -32,6 +32,7 @@ from comparisons.audit.explained import ExplainedInnovations, explained_innovati
 from comparisons.audit.least_squares import AnchoredSmoother
 from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
+from comparisons.audit.states import BlockState, StateHistory
 from comparisons.audit.uses import MeasurementUse
 from comparisons.covariances import covariance_gap, entry_differences, units
 from comparisons.errors import InputError
@@ -126,6 +127,7 @@ class Audit:
         unsolved: the event from which on nothing is compared with least squares, for its noise is
             no covariance; likewise.
         timed: every update has a time, and times do not fall; likewise.
+        states: the blocks with their charts, and when each was there; likewise.
         gains_unlike: how many of the compared are not Kalman's; likewise.
         follows_kalman: all gains are Kalman's, as far as recorded, so that its covariance is that
             of least squares; likewise.
@@ -158,6 +160,7 @@ class Audit:
     explained: Aside[ExplainedInnovations | None]
     unsolved: Aside[int | None]
     timed: Aside[bool]
+    states: Aside[tuple[BlockState, ...]]
     gains_unlike: Aside[int]
     follows_kalman: Aside[bool]
 
@@ -200,7 +203,7 @@ class _Pass:
         self.prior: TracePrior
         self.errors: BlockErrors
         self.error_curves: ErrorCurves
-        self.blocks: dict[str, int] = {}
+        self.states = StateHistory()
         self.gaps: list[AlgebraGap] = []
         self.largest: AlgebraGap | None = None
         self.first_open: AlgebraGap | None = None
@@ -219,6 +222,7 @@ class _Pass:
                 progress("events", event.number, total)
             self._date(event)
             self._do(event)
+            self.states.take(event)
         self.algebra.end()
         sensors = self.innovations.figures()
         level = FALSE_ALARMS / (len(sensors) + 3)
@@ -237,13 +241,16 @@ class _Pass:
             self._judge_innovations(sensor, found, cause)
         for kind, those in of_estimate.items():
             self._judge_estimate(kind, those, cause if kind in consequences else "")
-        findings = self.algebra.findings()
+        findings = tuple(
+            replace(finding, time_s=self.states.time_s(finding.event))
+            for finding in self.algebra.findings()
+        )
         verdict: Verdict = "sound" if self.compared or self.algebra.gains else "nothing checked"
         return Audit(
             trace=self.trace.path,
             **self.trace.counts._asdict(),
             remarks=(*self.trace.remarks, *self._unsolved()),
-            blocks=self.blocks,
+            blocks={block.name: block.dims for block in self.states.blocks},
             tolerance=self.tolerance,
             verdict="faulty" if any(one.fault for one in findings) else verdict,
             findings=findings,
@@ -264,6 +271,7 @@ class _Pass:
             explained=explained,
             unsolved=self.unsolved,
             timed=self.timed,
+            states=self.states.blocks,
         )
 
     def _date(self, event: Event) -> None:
@@ -293,7 +301,6 @@ class _Pass:
                 self._snapshot(event)
             case TracePrior():
                 self.prior = event
-                self.blocks = dict(zip(event.blocks, event.dims, strict=True))
                 layout = BlockLayout(event.blocks, event.dims)
                 self.errors, self.error_curves = BlockErrors(layout), ErrorCurves(layout)
                 self.algebra.take(event, unsound)
@@ -303,15 +310,12 @@ class _Pass:
                 self.spurious = SpuriousInformation(event, self.algebra.replay)
 
     def _follow(self, event: Event, fused: Fused | None) -> None:
-        """Keep innovations and blocks. fused: what the recursion made of an update."""
+        """Keep innovations. fused: what the recursion made of an update."""
         match event:
             case Update() if fused is not None:
                 self.innovations.add(event, fused, self.algebra.replay.layout)
             case Augment():
-                self.blocks[event.name] = len(event.jacobian)
                 self.innovations.begin(event)
-            case Clone():
-                self.blocks[event.name] = self.blocks[event.source]
             case _:
                 pass
 

@@ -13,21 +13,26 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
+from comparisons.audit.algebra import AuditFinding
 from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.error_curves import BlockErrorCurve
 from comparisons.audit.spurious import Learnt
 from comparisons.checks.of_events import KnownEvents, ask_events
 from comparisons.report.folder import JobFolder
-from comparisons.report.html.page import PageContent, page_of, write_page
+from comparisons.report.html.page import DatedFinding, PageContent, page_of, write_page
+from comparisons.report.html.states import states_table
 from comparisons.report.job import Report
 from comparisons.report.marks import (
+    DEPARTURE_COLOUR,
     EKF_COLOUR,
     EVENT,
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
     TIME,
+    TRUTH_COLOUR,
     Curve,
     FilledBand,
+    Moment,
     Panel,
     nis_panel,
 )
@@ -47,7 +52,10 @@ _LACKING = (
     "no snapshot, gain or correction is recorded after a prediction or an update, so that no "
     "algebra could be checked: record snapshots of the covariance, or the gains of updates"
 )
-_BY_EVENT = "by the number of the event, for the trace has not all times"
+_BY_EVENT = "The curves run over the numbers of events, for the trace has not all times."
+_MARKED = "Dotted lines: where a finding is first seen."
+_MOST_MARKED = 12
+"""Findings that are marked across the curves."""
 _MOST_ERRORS = 15
 """Components of which the errors are drawn: a vehicle's, without landmarks."""
 _LEAST = 1e-17
@@ -108,9 +116,13 @@ class AuditReport(Report[Audit, Audit]):
         summary, panels = self.summary(), [panel for panel in audit_panels(audit) if panel.curves]
         return replace(
             page_of(summary, audit.trace.name),
-            reported=_BY_EVENT if panels and not audit.timed else "",
+            reasons=summary.reasons[:1] if audit.verdict == "nothing checked" else (),
+            dated=_dated(audit),
+            remarks=audit.remarks,
+            reported=" ".join(_reported(audit, panels)),
             panels=panels,
             curves_file="curves.png",
+            sections=[states_table(audit.states)],
         )
 
     def folder(self) -> JobFolder:
@@ -141,8 +153,41 @@ def audit_rows(known: KnownEvents) -> list[Row]:
     ]
 
 
+def _dated(audit: Audit) -> list[DatedFinding]:
+    """Return the findings with their place on the axis of the curves, faults first."""
+    return [
+        DatedFinding(
+            finding.check.capitalize(), finding.text, _place(audit, finding), finding.fault
+        )
+        for finding in audit.findings
+    ]
+
+
+def _reported(audit: Audit, panels: Sequence[Panel]) -> Iterator[str]:
+    """Yield what is said of the curves."""
+    if panels and not audit.timed:
+        yield _BY_EVENT
+    if any(panel.moments for panel in panels):
+        yield _MARKED
+
+
+def _place(audit: Audit, finding: AuditFinding) -> float | None:
+    return finding.time_s if audit.timed else finding.event
+
+
 def audit_panels(audit: Audit) -> list[Panel]:
-    """Return what is drawn over time, or over events: the algebra gap, errors, NIS by sensor."""
+    """Return what is drawn over time, or over events, with the first places of the findings."""
+    moments = tuple(
+        Moment(f"{finding.check}, event {finding.event:,}", colour, place)
+        for finding in audit.findings[:_MOST_MARKED]
+        for colour in (DEPARTURE_COLOUR if finding.fault else TRUTH_COLOUR,)
+        if (place := _place(audit, finding)) is not None and finding.event is not None
+    )
+    return [replace(panel, moments=moments) for panel in _panels(audit)]
+
+
+def _panels(audit: Audit) -> list[Panel]:
+    """Return the algebra gap, errors, NIS by sensor, and what was learnt of directions."""
     panels, x_label = [], TIME if audit.timed else EVENT
     if audit.gaps:
         times = [np.nan if gap.time_s is None else gap.time_s for gap in audit.gaps]
@@ -186,7 +231,12 @@ def _error_panels(audit: Audit, curve: BlockErrorCurve) -> Iterator[Panel]:
     at, several = _along(audit, curve.event, curve.time_s), curve.error.shape[1] > 1
     for k, (error, sigma) in enumerate(zip(curve.error.T, curve.sigma.T, strict=True)):
         band = FilledBand(
-            name="3 sigma", colour=EKF_COLOUR, x=at, low=-3.0 * sigma, high=3.0 * sigma
+            name="3 sigma",
+            colour=EKF_COLOUR,
+            x=at,
+            low=-3.0 * sigma,
+            high=3.0 * sigma,
+            lack="a variance is negative",
         )
         yield Panel(
             title=f"error of {curve.block}{f', component {k}' if several else ''}",

@@ -8,7 +8,7 @@ import pytest
 
 from comparisons.jobs.run import Comparison
 from comparisons.report.html.drawing import Drawing
-from comparisons.report.html.errors import draw_errors, error_colours, error_legend, error_table
+from comparisons.report.html.errors import draw_errors, error_colours, error_legends, error_table
 from comparisons.report.html.page import page
 from comparisons.report.run import RunReport
 from comparisons.report.track_errors import TRUTH, TrackErrors, track_errors
@@ -56,15 +56,13 @@ def test_without_truth_the_colours_are_the_difference_from_the_smoother(
     assert errors.distance_m == pytest.approx(np.hypot(*apart[:, :2].T))
     assert errors.heading_rad.max() == pytest.approx(np.abs(apart[:, 2]).max())
     assert "Difference from the smoother" in error_table([errors])
-    assert "distance from the smoother" in error_legend([errors], 1.0)
+    assert ">EKF, distance from the smoother<" in error_legends([errors])
     assert track_errors(altered(known, "solved", None)) == ()
 
 
 def test_each_point_has_the_colour_of_its_error() -> None:
     drawing = Drawing.of(np.zeros((1, 2)))
-    draw_errors(
-        drawing, errors_of([0.0, 1.0, np.nan, 2.0]), np.array([-1, 0, 0.5, 1, 2, 3, 4]), 2.0
-    )
+    draw_errors(drawing, errors_of([0.0, 1.0, np.nan, 2.0]), np.array([-1, 0, 0.5, 1, 2, 3, 4]), 0)
     digits = re.search(r'data-classes="([^"]*)"', drawing.svg())
     assert digits is not None
     assert digits[1] == ".08g.v."  # half of the largest is the middle of 32 colours
@@ -78,13 +76,17 @@ def test_the_table_has_evos_statistics() -> None:
     assert re.findall("<td>(.*?)</td>", rows[1]) == cells
     assert re.findall("<td>(.*?)</td>", rows[2])[1:] == cells[1:]  # degrees
     assert "at 3 instants" in text
-    assert error_table([]) == error_legend([], 1.0) == ""
+    assert error_table([]) == error_legends([]) == ""
 
 
-def test_the_legend_ends_at_the_largest_error() -> None:
-    text = error_legend([errors_of([1.0])], 8.0)
-    assert re.findall("<text[^>]*>(.*?)</text>", text) == ["0 m", "2 m", "4 m", "6 m", "8 m"]
-    assert re.findall('fill="(.*?)"', text) == error_colours()
+def test_each_legend_ends_at_the_paths_largest_error() -> None:
+    """Of a path without errors at 1 m."""
+    text = error_legends([errors_of([1.0, 8.0]), errors_of([0.0, 0.0], "<b>")])
+    first, second = text.split('id="error-legend-')[1:]
+    assert re.findall("<text[^>]*>(.*?)</text>", first) == ["0 m", "2 m", "4 m", "6 m", "8 m"]
+    assert re.findall("<text[^>]*>(.*?)</text>", second)[-1] == "1 m"
+    assert ">&lt;b&gt;, distance from truth<" in second
+    assert re.findall('fill="(.*?)"', first) == error_colours()
 
 
 def test_the_colours_are_seen_on_white_and_on_black() -> None:
@@ -98,7 +100,7 @@ def test_the_layer_is_drawn_with_its_legend(comparison: Comparison, tmp_path: Pa
     report = tmp_path / "report.html"
     report.write_text(page(RunReport.of(comparison).page()), encoding="utf-8")
     steps = """
-    const legend = document.getElementById('error-legend');
+    const legend = document.getElementById('error-legend-0');
     noted.before = legend.hidden;
     const label = [...document.querySelectorAll('#layers label')]
       .find(one => one.textContent === 'EKF, coloured by error');

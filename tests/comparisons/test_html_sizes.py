@@ -98,6 +98,26 @@ def test_what_is_cut_or_broken_is_seen(report: Path, tmp_path: Path) -> None:
     assert max(noted(page, tmp_path, LOOK, width=390)["below"]) > 100.0
 
 
+def test_tables_say_that_they_are_cut(report: Path, tmp_path: Path) -> None:
+    """Of what lies to the right, and of what lies below; nothing where all is seen."""
+    steps = """
+    await new Promise(done => setTimeout(done, 100));
+    const boxes = [...document.querySelectorAll('.held, .sideways, .scroll')];
+    const beside = box => box.scrollWidth > box.clientWidth + 1;
+    const below = box => box.scrollHeight > box.clientHeight + 1;
+    noted.said = boxes.map(box => box.previousElementSibling.hidden ? ''
+      : box.previousElementSibling.textContent);
+    noted.beside = boxes.map(beside);
+    noted.below = boxes.map(below);
+    """
+    for width in (1400, 390):
+        found = noted(report, tmp_path, steps, width=width)
+        assert ["move the table sideways" in said for said in found["said"]] == found["beside"]
+        assert ["rows: scroll the table" in said for said in found["said"]] == found["below"]
+        assert any(found["below"])
+        assert any(found["beside"]) == (width == 390)
+
+
 COPY = """
 const again = document.getElementById('again'), button = again.querySelector('button');
 noted.hidden = button.hidden;

@@ -64,12 +64,11 @@ def study_page(outcome: StudyOutcome, remarks: list[str], repeated: str | None =
     reported = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
     rows = sum(pair.runs > 0 for pair in outcome.pairs)
     parts = [
-        f"<header><h1>{escape(outcome.scenario)}</h1><p>{outcome.runs:,} runs of "
-        f"{outcome.steps:,} steps, {outcome.landmarks} landmarks</p>"
-        f'<p><span class="verdict {look}">{escape(headline)}</span></p></header>',
-        f'<p class="note">{escape(outcome.description)}</p>',
+        f"<header><h1>{escape(outcome.scenario)}</h1>"
+        f'<p><span class="verdict {look}">{escape(headline)}</span> '
+        f'<span class="about">{outcome.runs:,} runs of {outcome.steps:,} steps, '
+        f"{outcome.landmarks} landmarks</span></p></header>",
         f'<ul class="note">{reported}</ul>' if reported else "",
-        again("montecarlo") if repeated is None else repeated,
         "<h2>Consistency: mean NEES</h2>",
         _consistency(outcome),
         f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '
@@ -89,6 +88,8 @@ def study_page(outcome: StudyOutcome, remarks: list[str], repeated: str | None =
         f"Student's t for the mean; p is the two-sided sign test's. A finding is by either, "
         f"both tests of all {rows} rows corrected together (Bonferroni, {_LEVEL} for the whole "
         "table). A lower error is better; a NEES is best near its degrees of freedom, 3.</p>",
+        f'<h2>Scenario</h2><p class="note">{escape(outcome.description)}</p>',
+        again("montecarlo") if repeated is None else repeated,
         data_block({"start": 0.0, **curve_data(_panels(outcome), 0.0)}),
     ]
     return document(f"{outcome.scenario}: Monte Carlo", parts, script(_SCRIPTS))

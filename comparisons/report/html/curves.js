@@ -133,6 +133,8 @@
       }
       for (const c of panel.curves) {
         make('path', { d: this.line(c.x, c.y), stroke: c.colour, class: 'line' }, plot);
+        if (c.x.length !== 1 || c.y[0] === null) continue;
+        make('circle', { cx: this.across(c.x[0]), cy: this.scale(c.y[0]), r: 3, fill: c.colour }, plot);
       }
       for (const one of panel.moments) {
         const x = this.across(one.x);

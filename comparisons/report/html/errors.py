@@ -13,9 +13,8 @@ from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.shell import colour_bar, number, table
 from comparisons.report.track_errors import TRUTH, TrackErrors
 
-LEGEND = "error-legend"
 _CLASSES = "0123456789abcdefghijklmnopqrstuv"
-"""A digit for each colour, from no error to the largest of all paths."""
+"""A digit for each colour, from no error to the path's largest."""
 _STOPS = ("#4575d4", "#8a5fc9", "#c9519b", "#e0583f", "#e08a00")
 """From no error to the largest: seen on white and on black, and by the colour-blind."""
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "RMS", "max": "max", "std": "std"}
@@ -27,23 +26,22 @@ def layer_name(errors: TrackErrors) -> str:
     return f"{errors.name}, coloured by {what}"
 
 
-def draw_errors(drawing: Drawing, errors: TrackErrors, time_s: Array, largest_m: float) -> None:
-    """Add a path's layer. time_s: (K,) of its points as drawn. largest_m: of the legend."""
+def draw_errors(drawing: Drawing, errors: TrackErrors, time_s: Array, number: int) -> None:
+    """Add a path's layer. time_s: (K,) of its points as drawn. number: of its legend."""
     inside = (time_s >= errors.time_s[0]) & (time_s <= errors.time_s[-1])
-    share = np.interp(time_s, errors.time_s, errors.distance_m) / largest_m
+    share = np.interp(time_s, errors.time_s, errors.distance_m) / largest_m(errors)
     known = inside & np.isfinite(share)
     place = np.clip(np.where(known, share, 0.0) * len(_CLASSES), 0, len(_CLASSES) - 1)
     digits = "".join(
         _CLASSES[colour] if shown else "."
         for colour, shown in zip(place.astype(int).tolist(), known.tolist(), strict=True)
     )
-    drawing.coloured(layer_name(errors), _STOPS[-2], errors.name, digits, LEGEND)
+    drawing.coloured(layer_name(errors), _STOPS[-2], errors.name, digits, _legend_id(number))
 
 
-def largest_error_m(every: Sequence[TrackErrors], names: Sequence[str]) -> float:
-    """Return where the colours end: the largest error of the paths that the map has."""
-    shown = [errors.distance_m for errors in every if errors.name in names]
-    largest = max((float(np.nanmax(one, initial=0.0)) for one in shown), default=0.0)
+def largest_m(errors: TrackErrors) -> float:
+    """Return where a path's colours end."""
+    largest = float(np.nanmax(errors.distance_m, initial=0.0))
     return largest if np.isfinite(largest) and largest > 0.0 else 1.0
 
 
@@ -55,14 +53,19 @@ def error_colours() -> list[str]:
     return ["#{:02x}{:02x}{:02x}".format(*rgb) for rgb in np.rint(mixed).astype(int).tolist()]
 
 
-def error_legend(every: Sequence[TrackErrors], largest_m: float) -> str:
-    """Return the colour bar with its metres; nothing without errors."""
-    if not every:
-        return ""
-    whose = every[0].reference
-    whose = whose if whose == TRUTH else f"the {whose}"
-    words = [f"{share * largest_m:.3g} m" for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    return colour_bar(LEGEND, f"distance from {whose}", error_colours(), words)
+def error_legends(every: Sequence[TrackErrors]) -> str:
+    """Return a colour bar with its metres for each path, shown with its layer."""
+    bars = []
+    for i, errors in enumerate(every):
+        whose = errors.reference if errors.reference == TRUTH else f"the {errors.reference}"
+        end_m, title = largest_m(errors), f"{errors.name}, distance from {whose}"
+        words = [f"{share * end_m:.3g} m" for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+        bars.append(colour_bar(_legend_id(i), title, error_colours(), words))
+    return "".join(bars)
+
+
+def _legend_id(number: int) -> str:
+    return f"error-legend-{number}"
 
 
 def error_table(every: Sequence[TrackErrors]) -> str:

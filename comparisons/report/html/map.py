@@ -13,7 +13,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.report.html.curves import short
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
-from comparisons.report.html.errors import draw_errors, largest_error_m
+from comparisons.report.html.errors import draw_errors
 from comparisons.report.html.shell import colour_bar
 from comparisons.report.marks import SCANS_COLOUR, ellipses
 from comparisons.report.track_errors import TrackErrors
@@ -137,7 +137,7 @@ class DrawnMap:
     times: [s] of each track's points, by its name. spreads: of those with covariances the variance
     to the east, the covariance and the variance to the north [m^2] of every point. decades: the
     colours of the variance ratio end at 10 to the power of so much, either way. outside: tracks
-    that lie off the map, in part. largest_m: where the colours of errors end.
+    that lie off the map, in part.
     """
 
     drawing: Drawing
@@ -145,7 +145,6 @@ class DrawnMap:
     spreads: dict[str, list[list[float | None]]]
     decades: float
     outside: list[str]
-    largest_m: float
 
 
 def draw_map(c: MapContent) -> DrawnMap:
@@ -172,10 +171,9 @@ def draw_map(c: MapContent) -> DrawnMap:
                 outline = ellipses(track.landmark, track.landmark_covariance, _SIGMAS, 32)
                 drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, reported)
             drawing.marks(f"{name} landmarks", colour, track.landmark, reported, c.keys)
-    largest_m = largest_error_m(c.errors, list(times))
-    for errors in c.errors:
+    for number, errors in enumerate(c.errors):
         if errors.name in times:
-            draw_errors(drawing, errors, np.array(times[errors.name]), largest_m)
+            draw_errors(drawing, errors, np.array(times[errors.name]), number)
     for draw in c.above:
         draw(drawing)
     return DrawnMap(
@@ -184,7 +182,6 @@ def draw_map(c: MapContent) -> DrawnMap:
         spreads=spreads,
         decades=_differences(drawing, c),
         outside=outside,
-        largest_m=largest_m,
     )
 
 

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.shell import again, document, figures, picture, prose, script, table
-from comparisons.report.marks import EVENT, Panel
+from comparisons.report.marks import EVENT, TIME, Panel
 from comparisons.words import SETTINGS, SPENT, Row, cause_name, facts
 
 if TYPE_CHECKING:
@@ -28,6 +28,15 @@ _ROW = "; click a landmark to find its row"
 _TIME = "Point at a time to see it on all curves and on the map. "
 
 
+class DatedFinding(NamedTuple):
+    """A finding. kind: its title. at: where on the axis of the curves it is first, if anywhere."""
+
+    kind: str
+    text: str
+    at: float | None
+    fault: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class PageContent:
     """What a job puts on its page, in the order in which it stands there. Texts may hold anything.
@@ -38,7 +47,8 @@ class PageContent:
     reasons: for it, that are no causes. facts: the figures that it rests on, by name. steps: the
     ladder of gaps. reported: what the curves show, and why others are not there. curves_file: a
     picture with the same curves. pictures: files, to be embedded. sections: HTML of ours.
-    landmarks_note: above the table of landmarks, or in its place.
+    landmarks_note: above the table of landmarks, or in its place. dated: findings on the axis of
+    the curves.
     """
 
     name: str
@@ -49,6 +59,7 @@ class PageContent:
     words: str = ""
     causes: Sequence[Cause] = ()
     reasons: Sequence[str] = ()
+    dated: Sequence[DatedFinding] = ()
     steps: Sequence[LadderStep] = ()
     notes: Sequence[str] = ()
     facts: Sequence[tuple[str, str]] = ()
@@ -107,8 +118,7 @@ def page(content: PageContent) -> str:
     if c.map is not None:
         where, data = _where(c.map, start_s, _ROW if c.landmarks else "")
     panels = sorted([*c.panels, *_over_time(c)], key=lambda panel: not panel.timed)
-    event = any(panel.x_label == EVENT for panel in panels)
-    data |= {"start": start_s, "event": event, **curve_data(panels, start_s)}
+    data |= {"start": start_s, "event": _of_events(c), **curve_data(panels, start_s)}
     now = '<output id="now"></output>'
     if panels or c.reported:
         when = (
@@ -157,6 +167,7 @@ def _top(c: PageContent, where: str) -> str:
         [
             f'<section id="outcome">{words}',
             *(_cause(cause) for cause in c.causes),
+            *(_dated(finding, EVENT if _of_events(c) else TIME) for finding in c.dated),
             f'<ul class="reasons">{why}</ul>' if why else "",
             '</section><section id="beside">',
             *(f"<p>{prose(note)}</p>" for note in c.notes),
@@ -188,7 +199,7 @@ def _errors(content: MapContent | None) -> str:
 
 def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[str, object]]:
     """The map, and what the script has to know of it. more: that can be done with it."""
-    from comparisons.report.html.errors import error_colours, error_legend
+    from comparisons.report.html.errors import error_colours, error_legends
     from comparisons.report.html.map import draw_map, ratio_legend
 
     drawn = draw_map(content)
@@ -197,7 +208,7 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
     return (
         '<section id="where"><h2>Map</h2><div id="layers"></div>'
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
-        f"{ratio_legend(drawn.decades)}{error_legend(content.errors, drawn.largest_m)}"
+        f"{ratio_legend(drawn.decades)}{error_legends(content.errors)}"
         f'<p id="chosen" role="status"></p>'
         f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
         f'double click for all{more}.</span><span class="hand touch">Pinch to zoom, drag to '
@@ -255,6 +266,24 @@ def _cause(cause: Cause) -> str:
     shown = "".join(f"<li>{prose(fact)}</li>" for fact in every)
     evidence = f"<ul>{shown}</ul>" if every[1:] else f"<p>{prose(cause.evidence)}</p>"
     return f'<div class="cause"><h3>{title}</h3>{hint}{evidence}{more}</div>'
+
+
+def _of_events(c: PageContent) -> bool:
+    """Whether the curves stand over the numbers of events."""
+    return any(panel.x_label == EVENT for panel in c.panels)
+
+
+def _dated(finding: DatedFinding, axis: str) -> str:
+    """A finding with what shows its place on all curves."""
+    where = ""
+    if finding.at is not None:
+        place = f"event {finding.at:,.0f}" if axis == EVENT else f"{finding.at:.6g} s"
+        where = f' <button class="at hand" data-time="{finding.at:.9g}">show {place}</button>'
+    kind = "cause" if finding.fault else "cause named"
+    return (
+        f'<div class="{kind}"><h3><b>{escape(finding.kind)}</b>{where}</h3>'
+        f"<p>{prose(finding.text)}</p></div>"
+    )
 
 
 def _remarks(remarks: Sequence[str]) -> str:

@@ -31,6 +31,29 @@
     }
   });
 
+  // A table that is cut says so, with what shows the rest.
+  for (const box of document.querySelectorAll('.held, .sideways, .scroll')) {
+    const note = text('p', '', 'note cut hand');
+    const table = box.querySelector('table');
+    box.before(note);
+    new ResizeObserver(() => {
+      const below = box.scrollHeight > box.clientHeight + 1;
+      const beside = box.scrollWidth > box.clientWidth + 1;
+      const rows = [...table.tBodies].reduce((sum, body) => sum + body.rows.length, 0);
+      const said = [below ? `${rows} rows: scroll the table for all of them.` : '',
+        beside ? 'Wider than the page: move the table sideways for all columns.' : ''];
+      note.textContent = said.filter(Boolean).join(' ');
+      note.hidden = !note.textContent;
+    }).observe(box);
+  }
+
+  for (const button of document.querySelectorAll('button[data-time]')) {
+    button.addEventListener('click', () => {
+      tell('time', Number(button.dataset.time) - data.start);
+      document.getElementById('when')?.scrollIntoView();
+    });
+  }
+
   // Rows that hold what is sought stay; one whose landmark is called so is shown on the map.
   const find = document.getElementById('find');
   if (find) {

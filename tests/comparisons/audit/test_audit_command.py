@@ -15,6 +15,7 @@ from tests.commands import refused
 from tests.commands import slamcheck as command
 from tests.comparisons.audit.test_audit import once, stays
 from tests.comparisons.audit.toy_filter import Toy
+from tests.comparisons.browser import noted
 
 
 def traces(folder: Path) -> tuple[Path, Path]:
@@ -77,6 +78,78 @@ def test_a_page_shows_what_file_names_say_as_text(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.browser
+def test_a_finding_shows_its_time_on_the_curves(tmp_path: Path) -> None:
+    """It is a card with a button, and a line across all curves."""
+    _, faulty = traces(tmp_path)
+    found = slamcheck.audit(faulty)
+    first = found.findings[0]
+    opened = found.first_open
+    assert first.event is not None
+    assert first.time_s is not None
+    assert opened is not None
+    assert (first.event, first.time_s) == (opened.event - 1, opened.time_s)
+    (tmp_path / "report.html").write_text(
+        page(AuditReport(found, AuditReport.build(found)).page()), encoding="utf-8"
+    )
+    assert all(panel.moments[0].x == first.time_s for panel in audit_panels(found))
+    steps = """
+    const card = document.querySelector('.cause'), button = card.querySelector('button');
+    noted.card = card.textContent;
+    noted.marks = document.querySelectorAll('.moment').length;
+    noted.curves = document.querySelectorAll('svg.curve').length;
+    button.click();
+    noted.now = document.getElementById('now').textContent;
+    noted.cursors = document.querySelectorAll('.cursor[visibility=visible]').length;
+    """
+    shown = noted(tmp_path / "report.html", tmp_path, steps)
+    assert first.text.partition(":")[0].lower() in shown["card"].lower()
+    assert f"show {first.time_s:g} s" in shown["card"]
+    assert shown["now"] == f"at {first.time_s:.1f} s"
+    assert shown["marks"] == len(found.findings) * shown["curves"]
+    assert shown["cursors"] == shown["curves"]
+
+
+def test_a_finding_without_times_is_at_its_event(tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    with slamcheck.Recorder(path) as record:
+        record.prior({"state": 1}, np.eye(1))
+        for _ in range(5):
+            record.update("gps", [0.3], np.eye(1), np.eye(1))
+            record.snapshot(np.eye(1))
+    found = slamcheck.audit(path)
+    (finding, *_) = (one for one in found.findings if one.fault)
+    assert finding.time_s is None
+    text = page(AuditReport(found, AuditReport.build(found)).page())
+    assert f'data-time="{finding.event}">show event {finding.event}<' in text
+
+
+def test_the_states_of_a_trace_are_in_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    with slamcheck.Recorder(path) as record:
+        record.prior({"pose": 3, "<b>": 1}, np.eye(4), charts={"pose": "se2"})
+        record.at(2.0)
+        record.augment("tree", np.ones((2, 1)), np.eye(2), np.eye(2), ["<b>"])
+        record.clone("pose", "copy")
+        record.remove("tree")
+        record.snapshot(np.eye(4), ["pose", "<b>"])
+    found = slamcheck.audit(path)
+    assert [block._asdict() for block in found.states] == [
+        {"name": "pose", "dims": 3, "chart": "se2", "since": 0, "until": None},
+        {"name": "<b>", "dims": 1, "chart": "additive", "since": 0, "until": None},
+        {"name": "tree", "dims": 2, "chart": "additive", "since": 1, "until": 3},
+        {"name": "copy", "dims": 3, "chart": "se2", "since": 2, "until": None},
+    ]
+    assert found.blocks == {"pose": 3, "<b>": 1, "tree": 2, "copy": 3}
+    text = page(AuditReport(found, AuditReport.build(found)).page())
+    table = text[text.index('<section id="states">') :]
+    assert "4 blocks, of which those that stay have 7 entries." in table
+    row = "<td>tree</td><td>2</td><td>additive</td><td>1</td><td>3</td>"
+    assert row in table
+    assert "<td>&lt;b&gt;</td>" in table
+
+
+@pytest.mark.slow
 def test_in_python(tmp_path: Path) -> None:
     sound, faulty = traces(tmp_path)
     assert slamcheck.audit(sound).sound
@@ -112,7 +185,7 @@ def test_curves_run_over_time_where_times_are_given(tmp_path: Path, times: str) 
     else:
         assert gap.x_label == nis.x_label == "event"
         assert gap.curves[0].x.tolist() == [1.0, *range(3, 52, 2)]
-    assert ("by the number of the event" in text) == (times != "given")
+    assert ("over the numbers of events" in text) == (times != "given")
     assert json.loads(data(text))["event"] == (times != "given")
 
 
