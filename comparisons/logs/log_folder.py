@@ -18,7 +18,7 @@ from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError, naming, outdated_format
 from comparisons.logs.log import Log, Prior, Truth
 from comparisons.logs.log_meta import MARK, LogModel, meta_text, read_meta
-from comparisons.logs.records import LogRecord, columns_of, record_of
+from comparisons.logs.records import columns_of, record_of
 from comparisons.logs.schema import STREAMS, LogStream
 from comparisons.logs.stamps import origin, since_origin
 from comparisons.logs.table import TextTable
@@ -140,12 +140,12 @@ def _read_arrays(
     table = stream.tables[""]
     shapes = {part.name: part.shape for part in table.fields}
     arrays: dict[str, Any] = dict(zip(shapes, read_archive(path, shapes), strict=True))
-    arrays["time_s"] = rest(arrays["time_s"])
+    arrays |= {name: rest(arrays[name]) for name in table.times}
     with naming(path, RecordError):
         for part in table.fields:
             if part.is_whole:
                 arrays[part.name] = whole_numbers(table.name, part.name, arrays[part.name])
-        return LogRecord.kinds[table.name](**arrays, **meta.settings(stream.field))
+        return record_of(table, arrays, **meta.settings(stream.field))
 
 
 def _check_names(folder: Path) -> None:

@@ -162,16 +162,17 @@ class _Reading:
         self.kind = self.files.kind or self._kind(table)
         if self.kind not in KINDS:
             raise InputError(f"--kind is {quoted(self.kind)}, expected one of {', '.join(KINDS)}")
-        needed = KINDS[self.kind].needed
+        declared = KINDS[self.kind]
+        needed = declared.needed
         need(table, needed)
-        moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
+        moves = [name for name in declared.stated if name in self.stated]
         covariances: tuple[str, ...] = ()
         if self.kind == "relative-poses":
             covariances = COVARIANCE
         elif self.kind == "poses" and not moves:
             covariances = (*COVARIANCE, *TWIST)
         table = self.tables["odometry"] = _only(table, (*needed, *covariances))
-        for name in ("yaw_rate_radps", "steering_rad"):
+        for name in needed:
             self._check_angle(table, name)
         times = table.columns["time_s"]
         if self.kind != "relative-poses":  # a wheel sample holds until the next
@@ -180,8 +181,7 @@ class _Reading:
             self.span_s = (times.min(), times.max() + held_s)
         stated: dict[str, Any] = {}
         if self.kind in ("velocity", "steering"):
-            wheelbase = ("wheelbase_m",) if self.kind == "steering" else ()
-            stated = self._take_all("sigma_speed_mps", "sigma_turn", *wheelbase)
+            stated = self._take_all(*declared.stated)
         elif self.kind == "poses" or not set(COVARIANCE) <= table.columns.keys():
             stated = {name: self._take(name) for name in moves}
         return {**table.columns, **stated}

@@ -420,6 +420,11 @@ class RecordTable:
         return tuple(name for name in self.values if COLUMNS[name].stated is None)
 
     @cached_property
+    def stated(self) -> tuple[str, ...]:
+        """Names of the others that say one number for all rows."""
+        return tuple(column.name for column in self.others if column.stated is not None)
+
+    @cached_property
     def places(self) -> dict[str, tuple[ArrayField, int]]:
         """Where each column stands: in which array, and in which column of that."""
         return {

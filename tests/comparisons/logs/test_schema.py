@@ -48,7 +48,7 @@ def test_every_stream_of_a_log_is_declared() -> None:
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=attrgetter("name"))
 def test_a_record_has_the_arrays_of_its_table(table: RecordTable) -> None:
-    kind: Any = LogRecord.kinds[table.name]
+    kind: Any = LogRecord.classes[table.name]
     assert kind.table is table
     annotated = {field.name for field in fields(kind) if field.type in ("Array", "Ids", "Index")}
     assert annotated == {part.name for part in table.fields}
@@ -89,3 +89,16 @@ def test_limits_are_those_of_the_schema(field: str, name: str) -> None:
     values[1] = limits.low - 1
     with pytest.raises(RecordError, match=f"{name} is .*, expected {limits.expected}"):
         replace(record, **{name: values})
+
+
+def test_columns_of_arrays_are_in_the_docstring() -> None:
+    text = str(Log.from_arrays.__doc__)
+    tables = [table for stream in STREAMS if stream.option for table in stream.user_tables]
+    assert [name for table in tables for name in table.needed if f"`{name}`" not in text] == []
+
+
+def test_usual_names_are_in_the_guide() -> None:
+    """Those of single values; a message's own, and matrices, are described by their ends."""
+    guide = (PAGE.parent / "your-own-log.md").read_text(encoding="utf-8")
+    singles = [column for column in COLUMNS.values() if column.unit or column.is_label]
+    assert [one.name for one in singles if not all(f"`{n}`" in guide for n in one.names)] == []
