@@ -33,6 +33,7 @@ from comparisons.logs.schema import (
     OPTIONS,
     POSES,
     POSITIONS,
+    STEERED,
     STREAMS,
     TWIST,
     UNITS,
@@ -577,8 +578,7 @@ def _remarks(start: str) -> dict[str, str]:
     """Comments on what was stated and what is a default."""
     pose = _POSE.get(start, "default: the origin; --prior-pose gives another")
     return {
-        "sigma_speed_mps": "--sigma-speed",
-        "wheelbase_m": "--wheelbase",
+        **{name: OPTIONS[name] for name in STEERED.stated},
         "sigma_turn": "--sigma-turn: of the steering angle [rad] or the yaw rate [rad/s]",
         "pose": pose,
         "covariance": "default: 1 mm and 1 mrad",

@@ -1,13 +1,16 @@
 """The schema of a log's streams: complete, without contradictions, and what the pages say."""
 
+import ast
 from dataclasses import fields, replace
 from itertools import chain
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import comparisons
 from comparisons.errors import RecordError
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.records import LogRecord, columns_of, record_of
@@ -102,3 +105,35 @@ def test_usual_names_are_in_the_guide() -> None:
     guide = (PAGE.parent / "your-own-log.md").read_text(encoding="utf-8")
     singles = [column for column in COLUMNS.values() if column.unit or column.is_label]
     assert [one.name for one in singles if not all(f"`{n}`" in guide for n in one.names)] == []
+
+
+def column_lists(source: str) -> list[list[str]]:
+    """Return what a module writes down of columns: collections with three names and more."""
+    known = {column.name for column in all_columns()}
+    lists = []
+    for node in ast.walk(ast.parse(source)):
+        entries: list[Any] = []
+        if isinstance(node, ast.Tuple | ast.List | ast.Set):
+            entries = node.elts
+        elif isinstance(node, ast.Dict):
+            entries = node.keys
+        names = [entry.value for entry in entries if isinstance(entry, ast.Constant)]
+        lists.append([name for name in names if name in known])
+    return [names for names in lists if len(names) > 2]
+
+
+def test_no_other_module_lists_columns() -> None:
+    """But fields of messages, which are called so, too."""
+    root = Path(comparisons.__file__).parent
+    paths = [
+        path for path in root.rglob("*.py") if path.name not in ("schema.py", "message_csv.py")
+    ]
+    assert len(paths) > 100
+    lists = {path.name: column_lists(path.read_text()) for path in paths}
+    assert {name: names for name, names in lists.items() if names} == {}
+
+
+def test_a_list_of_columns_is_found() -> None:
+    assert column_lists("A = ('time_s', 'x_m', 'y_m', 3)") == [["time_s", "x_m", "y_m"]]
+    assert column_lists("A = {'id': 0, 'x_m': 1, 'y_m': 2}") == [["id", "x_m", "y_m"]]
+    assert column_lists("A = ('time_s', 'x_m', *rest)") == []
