@@ -99,8 +99,8 @@ def build(files: UserFiles) -> NewLog:
     if reading.stated:
         name = next(iter(reading.stated))
         why = f"the {reading.kind} odometry does not use it"
-        if name == "sigma_m":
-            why = "the file of --positions gives its own sigmas, or there is none"
+        if COLUMNS[name].names:
+            why = f"the file of --{_STREAM_OF[name]} gives its own sigmas, or there is none"
         raise InputError(f"{OPTIONS[name]}: {why}")
     try:
         log = Log.from_arrays(**streams, name=files.name)
