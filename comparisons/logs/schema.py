@@ -417,7 +417,8 @@ class RecordTable:
     @cached_property
     def measured(self) -> tuple[str, ...]:
         """Those of the values that the sensor gives, without their sigmas."""
-        return tuple(name for name in self.values if COLUMNS[name].stated is None)
+        sigmas = {column.name for column in self.columns if column.stated is not None}
+        return tuple(name for name in self.values if name not in sigmas)
 
     @cached_property
     def stated(self) -> tuple[str, ...]:
@@ -549,6 +550,7 @@ class LogStream:
         file: Of a log folder.
         tables: Of its records, by kind; of one kind by no name.
         option: Of `slamcheck new-log` for a user's file, with its help; empty where it reads none.
+        user_kinds: Tables of users' files by kind, where these are others.
         is_required: Whether a log folder must have it.
         words: On its rows, besides those of the table.
     """
@@ -559,13 +561,14 @@ class LogStream:
     option: str = ""
     help: str = ""
     _: KW_ONLY
+    user_kinds: Mapping[str, RecordTable] | None = None
     is_required: bool = False
     words: str = ""
 
     @property
     def user_tables(self) -> tuple[RecordTable, ...]:
         """What files of users may hold."""
-        return tuple(KINDS.values()) if self.field == "odometry" else tuple(self.tables.values())
+        return tuple((self.user_kinds or self.tables).values())
 
     @property
     def is_truth(self) -> bool:
@@ -613,6 +616,7 @@ STREAMS = (
         {"steering": STEERED, "velocity": VELOCITY, "relative-poses": RELATIVE},
         "--odometry",
         "Speeds, or poses.",
+        user_kinds=KINDS,
         is_required=True,
     ),
     LogStream(
