@@ -202,7 +202,7 @@ def _step_variances(table: dict[str, Any], count: int) -> Array | None:
 
 def _stream_columns(stream: LogStream, given: Columns) -> dict[str, Any]:
     """The columns of a stream, of one kind, and the covariances of sigmas or of what is exact."""
-    (table,) = stream.tables.values()
+    (table,) = stream.tables
     covariance = next((part for part in table.fields if part.is_covariance), None)
     needed = table.needed
     sigmas = [one for one in table.others if one.stated is not None and one.name in given]
@@ -225,7 +225,7 @@ def _stream_columns(stream: LogStream, given: Columns) -> dict[str, Any]:
 
 def _record(stream: LogStream, columns: dict[str, Any], numbers: LandmarkNumbers) -> Any:
     """A stream's record, its landmarks by number."""
-    (table,) = stream.tables.values()
+    (table,) = stream.tables
     if table is POSES:
         return _poses(stream.spoken, columns)
     try:

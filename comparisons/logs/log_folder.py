@@ -116,7 +116,8 @@ def _read_text(path: Path, stream: LogStream, meta: LogModel, start_s: int) -> A
     if not stream.is_required and not path.exists():
         return None
     settings = meta.settings(stream.field)
-    table = stream.tables[settings.pop("kind", "")]
+    kind = settings.pop("kind", "")
+    table = next(table for table in stream.tables if table.kind == kind)
     added = tuple(column.name for column in table.columns if column.is_added)
     text = TextTable(
         path,
@@ -137,7 +138,7 @@ def _read_arrays(
     """An archive's record; None where there is no such file. rest: counts times from the start."""
     if not path.exists():
         return None
-    table = stream.tables[""]
+    (table,) = stream.tables
     shapes = {part.name: part.shape for part in table.fields}
     arrays: dict[str, Any] = dict(zip(shapes, read_archive(path, shapes), strict=True))
     arrays |= {name: rest(arrays[name]) for name in table.times}

@@ -13,7 +13,6 @@ from comparisons.errors import InputError, printable, shorten
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Ackermann, OdometryNoise
 from comparisons.logs.scans import Mount
-from comparisons.logs.schema import KINDS
 from comparisons.logs.table import read_toml
 
 MARK = "log.toml"
@@ -165,7 +164,7 @@ def meta_text(log: Log, remarks: Mapping[str, str] | None = None) -> str:
         "",
         "[odometry]",
     ]
-    lines += [f'kind = "{kind}"' for kind, table in KINDS.items() if table is odometry.table]
+    lines.append(f'kind = "{odometry.table.kind}"')
     groups = [name for name in ("noise", "vehicle") if hasattr(odometry, name)]
     for group in groups:
         lines += ["", f"[odometry.{group}]"]

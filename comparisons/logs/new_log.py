@@ -257,7 +257,7 @@ class _Reading:
 
     def stream(self, stream: LogStream, path: Path) -> dict[str, Any]:
         """Columns of a stream of one kind, with what is stated of those that no file must have."""
-        (declared,) = stream.tables.values()
+        (declared,) = stream.tables
         table = self._read(stream.spoken, path, stream.wanted)
         stated = [name for name in declared.needed if COLUMNS[name].stated is not None]
         need(table, [name for name in declared.needed if name not in stated])

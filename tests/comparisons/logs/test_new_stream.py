@@ -12,26 +12,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = {
     "STREAMS = (\n": """\
-HEADINGS = RecordTable(
-    "headings",
-    (
-        _single(TIME),
-        _single(HEADING),
-        _single(
-            Column(
-                "sigma_heading_rad",
-                ("sigma_heading",),
-                limits=SIGMA,
-                stated=Stated("--sigma-heading", "RAD", "Sigma of headings.", ("heading_rad",)),
-            )
-        ),
-    ),
-    order="increasing",
+SIGMA_HEADING = Column(
+    "sigma_heading_rad",
+    ("sigma_heading",),
+    limits=SIGMA,
+    stated=Stated("--sigma-heading", "RAD", "Sigma of headings.", ("heading_rad",)),
 )
+HEADINGS = _table("headings", TIME, HEADING, SIGMA_HEADING, order="increasing")
 STREAMS = (
 """,
     '    LogStream("scans"': '''\
-    LogStream("headings", "headings.csv", {"": HEADINGS}, "--headings", "Of a compass."),
+    LogStream("headings", "headings.csv", (HEADINGS,), "--headings", "Of a compass."),
     LogStream("scans"''',
 }
 """What stands in the place of a text."""

@@ -26,7 +26,7 @@ from comparisons.logs.schema import (
 from tests.comparisons.logs.test_log_folder import assert_same, full_log
 from tools.formats_page import PAGE, written
 
-TABLES = {table.name: table for stream in STREAMS for table in stream.tables.values()}
+TABLES = {table.name: table for stream in STREAMS for table in stream.tables}
 
 
 def all_columns() -> list[Column]:
