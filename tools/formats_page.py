@@ -40,8 +40,8 @@ def _table(head: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> str:
 def _files() -> Iterator[tuple[str, ...]]:
     files: dict[RecordTable, str] = {}
     for stream in STREAMS:
-        for kind, table in stream.tables.items():
-            name = f"`{stream.file}`" + (f", {kind}" if kind else "")
+        for table in stream.tables:
+            name = f"`{stream.file}`" + (f", {table.kind}" if table.kind else "")
             known = files.setdefault(table, stream.file)
             rows = f"as `{known}`" if known != stream.file else _rows(stream, table)
             yield name, "; ".join(filter(None, (rows, stream.words)))
@@ -63,7 +63,7 @@ def _array(part: ArrayField) -> str:
 
 def _columns() -> Iterator[tuple[str, ...]]:
     """Columns in the order in which files have them; those in a row that are alike together."""
-    tables = [table for stream in STREAMS for table in stream.tables.values()]
+    tables = [table for stream in STREAMS for table in stream.tables]
     columns = {column.name: column for table in tables for column in table.columns}
     for (unit, values), alike in groupby(columns.values(), lambda one: (one.unit, _values(one))):
         group = list(alike)

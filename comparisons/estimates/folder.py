@@ -14,6 +14,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError, shorten
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault, toml_text
+from comparisons.logs.schema import LANDMARKS
 from comparisons.logs.stamps import Nanoseconds
 from comparisons.logs.table import TextTable, is_number, is_record, read_text, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
@@ -28,7 +29,7 @@ _LEAST_UP = 0.5
 TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _ALONG = 0.5
 """Share of the way that a vehicle in the plane x, y may move along its third axis."""
-_LANDMARKS = ("id", "x_m", "y_m")
+_LANDMARKS = LANDMARKS.needed
 _POSE_LANDMARKS = (*_LANDMARKS, "heading_rad")
 
 

@@ -31,7 +31,7 @@ from comparisons.faults.columns import (
 from comparisons.faults.grammar import number_text
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import Ackermann, RelativePoses, SteeringOdometry
-from comparisons.logs.schema import UNITS
+from comparisons.logs.schema import OPTIONS, UNITS
 from comparisons.plane import turned
 from graphslam.increments import dead_reckoned
 from graphslam.sensor_frame import in_words
@@ -614,28 +614,29 @@ def sigmas_of(log: Log) -> Iterator[LogSigma]:
     if len(measurements.time_s):
         for name, field in (("range", "sigma_range_m"), ("bearing", "sigma_bearing_rad")):
             yield LogSigma(
-                name, f"{name}s", name, f"--sigma-{name}", getattr(measurements, field),
+                name, f"{name}s", name, OPTIONS[field], getattr(measurements, field),
                 partial(_scaled_measurements, field=field), name == "bearing",
             )  # fmt: skip
     if log.positions is not None and len(log.positions.time_s):
         yield LogSigma(
-            "positions", "positions", "position", "--sigma-position",
+            "positions", "positions", "position", OPTIONS["sigma_m"],
             np.sqrt(log.positions.covariance[:, 0, 0]), _scaled_positions,
         )  # fmt: skip
     if not len(moved.time_s):
         return
     if isinstance(moved, RelativePoses):
         is_known = bool(np.isfinite(moved.covariance).all())
-        for name, rows in (("moves", (0, 1)), ("turns", (2,))) if is_known else ():
+        parts = (("moves", "sigma_move_m", (0, 1)), ("turns", "sigma_turn", (2,)))
+        for name, field, rows in parts if is_known else ():
             yield LogSigma(
-                name, name, "odometry", f"--sigma-{name[:-1]}",
+                name, name, "odometry", OPTIONS[field],
                 np.sqrt(moved.covariance[:, rows[0], rows[0]]),
                 partial(_scaled_motions, rows=rows), name == "turns",
             )  # fmt: skip
         return
     for name, field in (("speed", "sigma_speed_mps"), ("turn", "sigma_turn")):
         yield LogSigma(
-            name, f"{name}s", "odometry", f"--sigma-{name}",
+            name, f"{name}s", "odometry", OPTIONS[field],
             np.array((getattr(moved.noise, field),)),
             partial(_scaled_controls, field=field), name == "turn",
         )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,6 @@ _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
 LABELS = tuple(name for name, column in COLUMNS.items() if column.is_label)
 _NOISE = ("variance_rate_position", "variance_rate_heading")
-_VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
 
 Motion = tuple[Odometry, float, str | None]
 """Odometry, when it starts, and words on the noise of relative poses."""
@@ -118,15 +118,17 @@ def odometry_kind(names: Sequence[str]) -> str:
 def _motion(given: Columns, wanted_s: Array) -> Motion:
     """Odometry of any kind; wanted_s: (M,) instants at which a pose is needed."""
     kind = odometry_kind([name for name in given if name != "time_s"])
-    sigmas, needed = ("sigma_move_m", "sigma_turn"), KINDS[kind].needed
+    declared = KINDS[kind]
+    needed, stated = declared.needed, declared.stated
     if kind == "poses":
-        table = _columns("odometry", given, needed, (*sigmas, *COVARIANCE, *TWIST))
+        table = _columns("odometry", given, needed, (*stated, *COVARIANCE, *TWIST))
         table["time_s"] = resolved(table["time_s"])
         return _between_poses(_poses("odometry", table), table, wanted_s)
     if kind == "relative-poses":
-        return _relative(_columns("odometry", given, needed, (*sigmas, *COVARIANCE)))
-    needed = (*needed, "sigma_speed_mps", "sigma_turn")
-    table = _columns("odometry", given, needed, _NOISE + (_VEHICLE if kind == "steering" else ()))
+        return _relative(_columns("odometry", given, needed, (*stated, *COVARIANCE)))
+    measures = tuple(one.name for one in fields(Ackermann)) if kind == "steering" else ()
+    needed += tuple(name for name in stated if name not in measures)
+    table = _columns("odometry", given, needed, _NOISE + measures)
     if kind == "steering" and "wheelbase_m" not in given:
         raise InputError("odometry: wheelbase_m is missing, which steering needs")
     noise = OdometryNoise(
@@ -135,9 +137,9 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
     )
     settings: dict[str, Any] = {"noise": noise}
     if kind == "steering":
-        measures = {name: _single(given, name) for name in _VEHICLE if name in given}
-        settings["vehicle"] = Ackermann(**measures)
-    moved: Odometry = record_of(KINDS[kind], table, **settings)
+        vehicle = {name: _single(given, name) for name in measures if name in given}
+        settings["vehicle"] = Ackermann(**vehicle)
+    moved: Odometry = record_of(declared, table, **settings)
     return moved, float(moved.time_s[0]) if len(moved.time_s) else 0.0, None
 
 
@@ -200,7 +202,7 @@ def _step_variances(table: dict[str, Any], count: int) -> Array | None:
 
 def _stream_columns(stream: LogStream, given: Columns) -> dict[str, Any]:
     """The columns of a stream, of one kind, and the covariances of sigmas or of what is exact."""
-    (table,) = stream.tables.values()
+    (table,) = stream.tables
     covariance = next((part for part in table.fields if part.is_covariance), None)
     needed = table.needed
     sigmas = [one for one in table.others if one.stated is not None and one.name in given]
@@ -223,7 +225,7 @@ def _stream_columns(stream: LogStream, given: Columns) -> dict[str, Any]:
 
 def _record(stream: LogStream, columns: dict[str, Any], numbers: LandmarkNumbers) -> Any:
     """A stream's record, its landmarks by number."""
-    (table,) = stream.tables.values()
+    (table,) = stream.tables
     if table is POSES:
         return _poses(stream.spoken, columns)
     try:

@@ -18,7 +18,7 @@ from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError, naming, outdated_format
 from comparisons.logs.log import Log, Prior, Truth
 from comparisons.logs.log_meta import MARK, LogModel, meta_text, read_meta
-from comparisons.logs.records import LogRecord, columns_of, record_of
+from comparisons.logs.records import columns_of, record_of
 from comparisons.logs.schema import STREAMS, LogStream
 from comparisons.logs.stamps import origin, since_origin
 from comparisons.logs.table import TextTable
@@ -116,7 +116,8 @@ def _read_text(path: Path, stream: LogStream, meta: LogModel, start_s: int) -> A
     if not stream.is_required and not path.exists():
         return None
     settings = meta.settings(stream.field)
-    table = stream.tables[settings.pop("kind", "")]
+    kind = settings.pop("kind", "")
+    table = next(table for table in stream.tables if table.kind == kind)
     added = tuple(column.name for column in table.columns if column.is_added)
     text = TextTable(
         path,
@@ -137,15 +138,15 @@ def _read_arrays(
     """An archive's record; None where there is no such file. rest: counts times from the start."""
     if not path.exists():
         return None
-    table = stream.tables[""]
+    (table,) = stream.tables
     shapes = {part.name: part.shape for part in table.fields}
     arrays: dict[str, Any] = dict(zip(shapes, read_archive(path, shapes), strict=True))
-    arrays["time_s"] = rest(arrays["time_s"])
+    arrays |= {name: rest(arrays[name]) for name in table.times}
     with naming(path, RecordError):
         for part in table.fields:
             if part.is_whole:
                 arrays[part.name] = whole_numbers(table.name, part.name, arrays[part.name])
-        return LogRecord.kinds[table.name](**arrays, **meta.settings(stream.field))
+        return record_of(table, arrays, **meta.settings(stream.field))
 
 
 def _check_names(folder: Path) -> None:

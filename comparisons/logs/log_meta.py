@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.errors import InputError, printable, shorten
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
+from comparisons.logs.odometry import Ackermann, OdometryNoise
 from comparisons.logs.scans import Mount
 from comparisons.logs.table import read_toml
 
@@ -164,17 +164,12 @@ def meta_text(log: Log, remarks: Mapping[str, str] | None = None) -> str:
         "",
         "[odometry]",
     ]
-    if isinstance(odometry, RelativePoses):
-        lines.append('kind = "relative-poses"')
-    else:
-        steering = isinstance(odometry, SteeringOdometry)
-        lines.append(f"kind = {json.dumps('steering' if steering else 'velocity')}")
-        groups: dict[str, object] = {"noise": odometry.noise}
-        if isinstance(odometry, SteeringOdometry):
-            groups["vehicle"] = odometry.vehicle
-        for group, record in groups.items():
-            lines += ["", f"[odometry.{group}]"]
-            lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
+    lines.append(f'kind = "{odometry.table.kind}"')
+    groups = [name for name in ("noise", "vehicle") if hasattr(odometry, name)]
+    for group in groups:
+        lines += ["", f"[odometry.{group}]"]
+        record = vars(getattr(odometry, group))
+        lines += [f"{name} = {float(value)!r}" for name, value in record.items()]
     lines += ["", "[measurements]", f"label_gate = {log.measurements.label_gate!r}"]
     lines += [f"needs_confirmation = {json.dumps(log.measurements.needs_confirmation)}"]
     if log.positions is not None:

@@ -33,6 +33,7 @@ from comparisons.logs.schema import (
     OPTIONS,
     POSES,
     POSITIONS,
+    STEERED,
     STREAMS,
     TWIST,
     UNITS,
@@ -98,8 +99,8 @@ def build(files: UserFiles) -> NewLog:
     if reading.stated:
         name = next(iter(reading.stated))
         why = f"the {reading.kind} odometry does not use it"
-        if name == "sigma_m":
-            why = "the file of --positions gives its own sigmas, or there is none"
+        if COLUMNS[name].names:
+            why = f"the file of --{_STREAM_OF[name]} gives its own sigmas, or there is none"
         raise InputError(f"{OPTIONS[name]}: {why}")
     try:
         log = Log.from_arrays(**streams, name=files.name)
@@ -162,16 +163,17 @@ class _Reading:
         self.kind = self.files.kind or self._kind(table)
         if self.kind not in KINDS:
             raise InputError(f"--kind is {quoted(self.kind)}, expected one of {', '.join(KINDS)}")
-        needed = KINDS[self.kind].needed
+        declared = KINDS[self.kind]
+        needed = declared.needed
         need(table, needed)
-        moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
+        moves = [name for name in declared.stated if name in self.stated]
         covariances: tuple[str, ...] = ()
         if self.kind == "relative-poses":
             covariances = COVARIANCE
         elif self.kind == "poses" and not moves:
             covariances = (*COVARIANCE, *TWIST)
         table = self.tables["odometry"] = _only(table, (*needed, *covariances))
-        for name in ("yaw_rate_radps", "steering_rad"):
+        for name in needed:
             self._check_angle(table, name)
         times = table.columns["time_s"]
         if self.kind != "relative-poses":  # a wheel sample holds until the next
@@ -180,8 +182,7 @@ class _Reading:
             self.span_s = (times.min(), times.max() + held_s)
         stated: dict[str, Any] = {}
         if self.kind in ("velocity", "steering"):
-            wheelbase = ("wheelbase_m",) if self.kind == "steering" else ()
-            stated = self._take_all("sigma_speed_mps", "sigma_turn", *wheelbase)
+            stated = self._take_all(*declared.stated)
         elif self.kind == "poses" or not set(COVARIANCE) <= table.columns.keys():
             stated = {name: self._take(name) for name in moves}
         return {**table.columns, **stated}
@@ -256,7 +257,7 @@ class _Reading:
 
     def stream(self, stream: LogStream, path: Path) -> dict[str, Any]:
         """Columns of a stream of one kind, with what is stated of those that no file must have."""
-        (declared,) = stream.tables.values()
+        (declared,) = stream.tables
         table = self._read(stream.spoken, path, stream.wanted)
         stated = [name for name in declared.needed if COLUMNS[name].stated is not None]
         need(table, [name for name in declared.needed if name not in stated])
@@ -577,8 +578,7 @@ def _remarks(start: str) -> dict[str, str]:
     """Comments on what was stated and what is a default."""
     pose = _POSE.get(start, "default: the origin; --prior-pose gives another")
     return {
-        "sigma_speed_mps": "--sigma-speed",
-        "wheelbase_m": "--wheelbase",
+        **{name: OPTIONS[name] for name in STEERED.stated},
         "sigma_turn": "--sigma-turn: of the steering angle [rad] or the yaw rate [rad/s]",
         "pose": pose,
         "covariance": "default: 1 mm and 1 mrad",

@@ -18,17 +18,17 @@ class LogRecord:
 
     Attributes:
         table: The table.
-        kinds: Every class of records, by its table's name.
+        classes: Every class of records, by its table's name.
     """
 
     table: ClassVar[RecordTable]
-    kinds: ClassVar[dict[str, type[LogRecord]]] = {}
+    classes: ClassVar[dict[str, type[LogRecord]]] = {}
 
     def __init_subclass__(cls) -> None:
         """List the class if it has a table."""
         super().__init_subclass__()
         if "table" in vars(cls):
-            LogRecord.kinds[cls.table.name] = cls
+            LogRecord.classes[cls.table.name] = cls
 
     def __post_init__(self) -> None:
         """Check the arrays. Raises RecordError."""
@@ -65,7 +65,7 @@ def record_of(table: RecordTable, columns: Mapping[str, Any], **settings: Any) -
             arrays[part.name] = symmetric(np.column_stack(parts))
         elif len(part.shape) > 1:
             arrays[part.name] = np.column_stack(parts)
-    return LogRecord.kinds[table.name](**arrays, **settings)
+    return LogRecord.classes[table.name](**arrays, **settings)
 
 
 def values_in(record: LogRecord, names: Sequence[str]) -> Array:

@@ -10,11 +10,11 @@ that table and a field of `Log`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from math import inf, nextafter, pi
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 _DEGREE = pi / 180
 UNITS: dict[str, dict[str, float]] = {
@@ -377,6 +377,7 @@ class RecordTable:
     Attributes:
         name: Of the records, in errors.
         fields: In the order of the columns; each has a row for each of the first's.
+        kind: Of odometry, else empty.
         order: How times follow each other: they increase, or do not fall; empty for neither.
         others: Columns that files and arrays of users may have besides, or in place of some.
         words: On its rows.
@@ -385,6 +386,7 @@ class RecordTable:
     name: str
     fields: tuple[ArrayField, ...]
     _: KW_ONLY
+    kind: str = ""
     order: Literal["increasing", "not falling", ""] = ""
     others: tuple[Column, ...] = ()
     words: str = ""
@@ -417,7 +419,13 @@ class RecordTable:
     @cached_property
     def measured(self) -> tuple[str, ...]:
         """Those of the values that the sensor gives, without their sigmas."""
-        return tuple(name for name in self.values if COLUMNS[name].stated is None)
+        sigmas = {column.name for column in self.columns if column.stated is not None}
+        return tuple(name for name in self.values if name not in sigmas)
+
+    @cached_property
+    def stated(self) -> tuple[str, ...]:
+        """Names of the others that say one number for all rows."""
+        return tuple(column.name for column in self.others if column.stated is not None)
 
     @cached_property
     def places(self) -> dict[str, tuple[ArrayField, int]]:
@@ -442,95 +450,66 @@ class RecordTable:
         return tuple(name for name in names if name in ("time_s", "from_s", "to_s"))
 
 
-_POSE = (X, Y, HEADING)
-_MOTION = (DX, DY, DHEADING)
+def _table(name: str, *parts: Column | ArrayField, **more: Any) -> RecordTable:
+    """A table of arrays; a column alone is one."""
+    fields = (part if isinstance(part, ArrayField) else _single(part) for part in parts)
+    return RecordTable(name, tuple(fields), **more)
+
+
+_MOTION = _group("displacement", DX, DY, DHEADING)
+_POSE = _group("pose", X, Y, HEADING)
+_PLACE = _group("position_m", X, Y)
 _VARIANCES = (_VAR_X, _COV_XY, _VAR_Y)
-VELOCITY = RecordTable(
-    "velocity odometry",
-    (_single(TIME), _single(SPEED), _single(YAW_RATE)),
-    order="not falling",
-    others=(SIGMA_SPEED, SIGMA_TURN),
-    words="a sample holds until the next",
-)
-STEERED = RecordTable(
-    "steering odometry",
-    (_single(TIME), _single(SPEED), _single(STEERING)),
-    order="not falling",
-    others=(SIGMA_SPEED, SIGMA_TURN, WHEELBASE),
-    words="a sample holds until the next",
-)
-RELATIVE = RecordTable(
-    "relative poses",
-    (_single(TIME), _group("displacement", *_MOTION), _matrix(*_COVARIANCE, has_gaps=True)),
-    order="increasing",
-    others=(SIGMA_MOVE, SIGMA_TURN),
+_HELD = "a sample holds until the next"
+VELOCITY = _table(
+    "velocity odometry", TIME, SPEED, YAW_RATE,
+    kind="velocity", order="not falling", others=(SIGMA_SPEED, SIGMA_TURN), words=_HELD,
+)  # fmt: skip
+STEERED = _table(
+    "steering odometry", TIME, SPEED, STEERING,
+    kind="steering", order="not falling", others=(SIGMA_SPEED, SIGMA_TURN, WHEELBASE), words=_HELD,
+)  # fmt: skip
+RECKONED = _table(
+    "poses", TIME, _POSE, _matrix(*_COVARIANCE),
+    kind="poses", order="increasing", others=(SIGMA_MOVE, SIGMA_TURN, *_TWIST),
+)  # fmt: skip
+"""Of users alone: the poses of an odometry."""
+RELATIVE = _table(
+    "relative poses", TIME, _MOTION, _matrix(*_COVARIANCE, has_gaps=True),
+    kind="relative-poses", order="increasing", others=(SIGMA_MOVE, SIGMA_TURN),
     words="the displacement in the departing frame, its covariance in the arriving one (as g2o and "
     "gtsam), the first departing from the prior",
-)
-RECKONED = RecordTable(
-    "poses",
-    (_single(TIME), _group("pose", *_POSE), _matrix(*_COVARIANCE)),
-    order="increasing",
-    others=(SIGMA_MOVE, SIGMA_TURN, *_TWIST),
-)
-"""Of users alone: the poses of an odometry."""
-KINDS = {
-    "velocity": VELOCITY, "steering": STEERED, "poses": RECKONED, "relative-poses": RELATIVE
-}  # fmt: skip
+)  # fmt: skip
+KINDS = {table.kind: table for table in (VELOCITY, STEERED, RECKONED, RELATIVE)}
 """Kinds of odometry that a user may have."""
-POSES = RecordTable("poses", (_single(TIME), _group("pose", *_POSE)), order="increasing")
-CLOSURES = RecordTable(
-    "loop closures",
-    (
-        _single(Column("from_s")),
-        _single(Column("to_s")),
-        _group("displacement", *_MOTION),
-        _matrix(*_COVARIANCE),
-    ),
-)
-MEASUREMENTS = RecordTable(
+CLOSURES = _table("loop closures", Column("from_s"), Column("to_s"), _MOTION, _matrix(*_COVARIANCE))
+MEASUREMENTS = _table(
     "measurements",
-    tuple(
-        map(
-            _single,
-            (TIME, RANGE, BEARING, SIGMA_RANGE, SIGMA_BEARING, LANDMARK, DIAMETER, INTENSITY),
-        )
-    ),
+    TIME, RANGE, BEARING, SIGMA_RANGE, SIGMA_BEARING, LANDMARK, DIAMETER, INTENSITY,
     order="not falling",
-)
-POSITIONS = RecordTable(
-    "positions",
-    (_single(TIME), _group("position_m", X, Y), _matrix(*_VARIANCES)),
-    order="increasing",
-    others=(SIGMA_POSITION, _LATITUDE, _LONGITUDE, _ALTITUDE),
-)
-LANDMARKS = RecordTable(
-    "landmarks",
-    (_single(ID), _group("position_m", X, Y), _matrix(*_VARIANCES, is_singular=True)),
-)
-SURFACES = RecordTable(
-    "surfaces", (_group("segment", *map(Column, ("x1_m", "y1_m", "x2_m", "y2_m"))),)
-)
-SCANS = RecordTable(
+)  # fmt: skip
+POSITIONS = _table(
+    "positions", TIME, _PLACE, _matrix(*_VARIANCES),
+    order="increasing", others=(SIGMA_POSITION, _LATITUDE, _LONGITUDE, _ALTITUDE),
+)  # fmt: skip
+LANDMARKS = _table("landmarks", ID, _PLACE, _matrix(*_VARIANCES, is_singular=True))
+POSES = _table("poses", TIME, _POSE, order="increasing")
+SURFACES = _table("surfaces", _group("segment", *map(Column, ("x1_m", "y1_m", "x2_m", "y2_m"))))
+SCANS = _table(
     "scans",
-    (
-        ArrayField("time_s", ("N",), words="of the first beam"),
-        ArrayField("angle_rad", ("B",)),
-        ArrayField("range_m", ("N", "B"), has_gaps=True, words="NaN for no return"),
-        ArrayField("intensity", ("N", "B"), is_bounded=False),
-    ),
+    ArrayField("time_s", ("N",), words="of the first beam"),
+    ArrayField("angle_rad", ("B",)),
+    ArrayField("range_m", ("N", "B"), has_gaps=True, words="NaN for no return"),
+    ArrayField("intensity", ("N", "B"), is_bounded=False),
     order="increasing",
 )
-CLOUDS = RecordTable(
+_FIRST = "row of each scan's first point, and the end"
+CLOUDS = _table(
     "clouds",
-    (
-        ArrayField("time_s", ("N",)),
-        ArrayField(
-            "first", ("N + 1",), is_whole=True, words="row of each scan's first point, and the end"
-        ),
-        ArrayField("point_m", ("P", 3), has_gaps=True),
-        ArrayField("point_s", ("P",), words="seconds after the scan's time"),
-    ),
+    ArrayField("time_s", ("N",)),
+    ArrayField("first", ("N + 1",), is_whole=True, words=_FIRST),
+    ArrayField("point_m", ("P", 3), has_gaps=True),
+    ArrayField("point_s", ("P",), words="seconds after the scan's time"),
     order="increasing",
 )
 
@@ -542,25 +521,27 @@ class LogStream:
     Attributes:
         field: Of `Log`, as `truth.poses`.
         file: Of a log folder.
-        tables: Of its records, by kind; of one kind by no name.
+        tables: Of its records, one for each kind.
         option: Of `slamcheck new-log` for a user's file, with its help; empty where it reads none.
+        by_users: Tables of users' files, where these are others.
         is_required: Whether a log folder must have it.
         words: On its rows, besides those of the table.
     """
 
     field: str
     file: str
-    tables: Mapping[str, RecordTable]
+    tables: tuple[RecordTable, ...]
     option: str = ""
     help: str = ""
     _: KW_ONLY
+    by_users: tuple[RecordTable, ...] = ()
     is_required: bool = False
     words: str = ""
 
     @property
     def user_tables(self) -> tuple[RecordTable, ...]:
         """What files of users may hold."""
-        return tuple(KINDS.values()) if self.field == "odometry" else tuple(self.tables.values())
+        return self.by_users or self.tables
 
     @property
     def is_truth(self) -> bool:
@@ -593,7 +574,7 @@ class LogStream:
     @property
     def is_timed(self) -> bool:
         """Whether its rows are of instants at which an estimator needs a pose."""
-        return not self.is_truth and "time_s" in next(iter(self.tables.values())).needed
+        return not self.is_truth and "time_s" in self.tables[0].needed
 
     @property
     def is_archived(self) -> bool:
@@ -603,55 +584,37 @@ class LogStream:
 
 STREAMS = (
     LogStream(
-        "odometry",
-        "odometry.csv",
-        {"steering": STEERED, "velocity": VELOCITY, "relative-poses": RELATIVE},
-        "--odometry",
-        "Speeds, or poses.",
-        is_required=True,
+        "odometry", "odometry.csv", (STEERED, VELOCITY, RELATIVE),
+        "--odometry", "Speeds, or poses.", by_users=tuple(KINDS.values()), is_required=True,
     ),
     LogStream(
-        "measurements",
-        "measurements.csv",
-        {"": MEASUREMENTS},
-        "--measurements",
-        "Ranges, bearings, labels.",
-        is_required=True,
+        "measurements", "measurements.csv", (MEASUREMENTS,),
+        "--measurements", "Ranges, bearings, labels.", is_required=True,
         words="one scan shares one time",
     ),
     LogStream(
-        "positions",
-        "positions.csv",
-        {"": POSITIONS},
-        "--positions",
-        "GPS, in the frame of the start pose.",
+        "positions", "positions.csv", (POSITIONS,),
+        "--positions", "GPS, in the frame of the start pose.",
     ),
     LogStream(
-        "loop_closures",
-        "closures.csv",
-        {"": CLOSURES},
+        "loop_closures", "closures.csv", (CLOSURES,),
         words="measured motions between poses that do not follow each other, as of relative poses, "
         "whose times these are",
     ),
-    LogStream("known_landmarks", "known_landmarks.csv", {"": LANDMARKS}),
+    LogStream("known_landmarks", "known_landmarks.csv", (LANDMARKS,)),
     LogStream(
-        "known_measurements",
-        "known_measurements.csv",
-        {"": MEASUREMENTS},
+        "known_measurements", "known_measurements.csv", (MEASUREMENTS,),
         words="ids from `known_landmarks.csv`",
     ),
-    LogStream("scans", "scans.npz", {"": SCANS}),
-    LogStream("clouds", "clouds.npz", {"": CLOUDS}),
-    LogStream("truth.poses", "truth_poses.csv", {"": POSES}, "--truth", "True poses, CSV or TUM."),
+    LogStream("scans", "scans.npz", (SCANS,)),
+    LogStream("clouds", "clouds.npz", (CLOUDS,)),
+    LogStream("truth.poses", "truth_poses.csv", (POSES,), "--truth", "True poses, CSV or TUM."),
     LogStream(
-        "truth.landmarks",
-        "truth_landmarks.csv",
-        {"": LANDMARKS},
-        "--truth-landmarks",
-        "True landmarks: id, x, y.",
+        "truth.landmarks", "truth_landmarks.csv", (LANDMARKS,),
+        "--truth-landmarks", "True landmarks: id, x, y.",
     ),
-    LogStream("truth.surfaces", "truth_surfaces.csv", {"": SURFACES}, words="one segment per line"),
-)
+    LogStream("truth.surfaces", "truth_surfaces.csv", (SURFACES,), words="one segment per line"),
+)  # fmt: skip
 """In the order of `Log`'s fields."""
 
 

@@ -21,6 +21,7 @@ from comparisons.innovations import SensorInnovations
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
+from comparisons.logs.schema import LANDMARKS, POSES, RELATIVE
 from comparisons.pipeline.solve import Solution
 from comparisons.report.check import CheckReport, check_ladder
 from comparisons.report.destination import leaves
@@ -62,7 +63,7 @@ def frame(result: object, table: str) -> DataFrame:
 def pose_columns(time_s: Array, pose: Array, covariance: Array | None = None) -> dict[str, Any]:
     """Return columns of poses (K, 3), with standard deviations of covariances (K, 3, 3)."""
     found: dict[str, Any] = {"time_s": time_s}
-    found |= dict(zip(("x_m", "y_m", "heading_rad"), pose.T, strict=True))
+    found |= dict(zip(POSES.values, pose.T, strict=True))
     if covariance is not None:
         names = ("sigma_x_m", "sigma_y_m", "sigma_heading_rad")
         found |= dict(zip(names, _sigmas(covariance).T, strict=True))
@@ -71,7 +72,7 @@ def pose_columns(time_s: Array, pose: Array, covariance: Array | None = None) ->
 
 def landmark_columns(ids: Index, position: Array, covariance: Array | None) -> dict[str, Any]:
     """Return columns of landmarks (L, 2), with what covariances (L, 2, 2) say."""
-    found: dict[str, Any] = {"id": ids, "x_m": position[:, 0], "y_m": position[:, 1]}
+    found: dict[str, Any] = dict(zip(LANDMARKS.needed, (ids, *position.T), strict=True))
     if covariance is not None:
         sigma = _sigmas(covariance)
         found |= {"sigma_x_m": sigma[:, 0], "sigma_y_m": sigma[:, 1]}
@@ -116,8 +117,8 @@ def pair_tables(pair: EstimateComparison) -> Tables:
     """Return what `EstimateComparison.to_pandas` offers."""
 
     def columns(first: dict[str, Any], difference: Array, nees: Array) -> Columns:
-        names = ("dx_m", "dy_m", "dheading_rad")
-        return {**first, **dict(zip(names, difference.T, strict=False)), "nees": nees}
+        components = dict(zip(RELATIVE.values, difference.T, strict=False))
+        return {**first, **components, "nees": nees}
 
     return {
         "poses": lambda: columns({"time_s": pair.time_s}, pair.difference, pair.nees),

@@ -519,3 +519,10 @@ def test_a_column_of_sigmas_of_positions_is_read(tmp_path: Path) -> None:
     assert np.array_equal(positions.covariance, positions.covariance[:, ::-1, ::-1])
     with pytest.raises(InputError, match="--sigma-position: the file of --positions gives its own"):
         build(files(tmp_path, paths=paths, stated=SIGMAS | WHEELS | {"sigma_m": 0.5}))
+
+
+def test_a_sigma_that_is_stated_and_in_the_file_is_refused(tmp_path: Path) -> None:
+    trees = "label,range,bearing,time,sigma_range\n1,5,0.5,0.2,0.1\n"
+    message = "--sigma-range: the file of --measurements gives its own sigmas, or there is none"
+    with pytest.raises(InputError, match=message):
+        build(files(tmp_path, trees=trees))

@@ -1,13 +1,16 @@
 """The schema of a log's streams: complete, without contradictions, and what the pages say."""
 
+import ast
 from dataclasses import fields, replace
 from itertools import chain
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import comparisons
 from comparisons.errors import RecordError
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.records import LogRecord, columns_of, record_of
@@ -23,7 +26,7 @@ from comparisons.logs.schema import (
 from tests.comparisons.logs.test_log_folder import assert_same, full_log
 from tools.formats_page import PAGE, written
 
-TABLES = {table.name: table for stream in STREAMS for table in stream.tables.values()}
+TABLES = {table.name: table for stream in STREAMS for table in stream.tables}
 
 
 def all_columns() -> list[Column]:
@@ -48,7 +51,7 @@ def test_every_stream_of_a_log_is_declared() -> None:
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=attrgetter("name"))
 def test_a_record_has_the_arrays_of_its_table(table: RecordTable) -> None:
-    kind: Any = LogRecord.kinds[table.name]
+    kind: Any = LogRecord.classes[table.name]
     assert kind.table is table
     annotated = {field.name for field in fields(kind) if field.type in ("Array", "Ids", "Index")}
     assert annotated == {part.name for part in table.fields}
@@ -89,3 +92,48 @@ def test_limits_are_those_of_the_schema(field: str, name: str) -> None:
     values[1] = limits.low - 1
     with pytest.raises(RecordError, match=f"{name} is .*, expected {limits.expected}"):
         replace(record, **{name: values})
+
+
+def test_columns_of_arrays_are_in_the_docstring() -> None:
+    text = str(Log.from_arrays.__doc__)
+    tables = [table for stream in STREAMS if stream.option for table in stream.user_tables]
+    assert [name for table in tables for name in table.needed if f"`{name}`" not in text] == []
+
+
+def test_usual_names_are_in_the_guide() -> None:
+    """Those of single values; a message's own, and matrices, are described by their ends."""
+    guide = (PAGE.parent / "your-own-log.md").read_text(encoding="utf-8")
+    singles = [column for column in COLUMNS.values() if column.unit or column.is_label]
+    assert [one.name for one in singles if not all(f"`{n}`" in guide for n in one.names)] == []
+
+
+def column_lists(source: str) -> list[list[str]]:
+    """Return what a module writes down of columns: collections with three names and more."""
+    known = {column.name for column in all_columns()}
+    lists = []
+    for node in ast.walk(ast.parse(source)):
+        entries: list[Any] = []
+        if isinstance(node, ast.Tuple | ast.List | ast.Set):
+            entries = node.elts
+        elif isinstance(node, ast.Dict):
+            entries = node.keys
+        names = [entry.value for entry in entries if isinstance(entry, ast.Constant)]
+        lists.append([name for name in names if name in known])
+    return [names for names in lists if len(names) > 2]
+
+
+def test_no_other_module_lists_columns() -> None:
+    """But fields of messages, which are called so, too."""
+    root = Path(comparisons.__file__).parent
+    paths = [
+        path for path in root.rglob("*.py") if path.name not in ("schema.py", "message_csv.py")
+    ]
+    assert len(paths) > 100
+    lists = {path.name: column_lists(path.read_text()) for path in paths}
+    assert {name: names for name, names in lists.items() if names} == {}
+
+
+def test_a_list_of_columns_is_found() -> None:
+    assert column_lists("A = ('time_s', 'x_m', 'y_m', 3)") == [["time_s", "x_m", "y_m"]]
+    assert column_lists("A = {'id': 0, 'x_m': 1, 'y_m': 2}") == [["id", "x_m", "y_m"]]
+    assert column_lists("A = ('time_s', 'x_m', *rest)") == []
