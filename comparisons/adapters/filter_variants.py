@@ -6,7 +6,7 @@ They differ from the EKF by where they linearise, so by little where a log is ne
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,22 @@ from scipy.linalg import block_diag
 from comparisons.arrays import Array, Index
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import KINDS, LandmarkKind, NewLandmarks
-from ekf_reference.core.layout import ABSENT
+from ekf_reference.core.landmark_types import NewLandmarks
+from ekf_reference.core.linearisation import (
+    FirstEstimates,
+    Linearisation,
+    RightInvariant,
+    Robocentric,
+)
 from ekf_reference.core.measurement_update import Linearised
-from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Measurements
-from ekf_reference.core.state import Correction, KalmanState
+from ekf_reference.core.measurements import (
+    NOT_MEASURED,
+    Association,
+    MeasuredAttributes,
+    Measurements,
+)
+from ekf_reference.core.trace import Trace
+from ekf_reference.models.motion import MotionModel
 
 _CONVERGED_SIGMA = 1e-9
 
@@ -175,156 +186,47 @@ class IteratedEkf(Ekf):
         self.fuse(linearise, noise, self._count[measurements.kind.name] + rows, landmark_index)
 
 
-class FirstEstimatesEkf(Ekf):
-    """The EKF whose Jacobians are those of the first estimates (Huang et al. 2010, FEJ-EKF).
+class LinearisedEkf(Ekf):
+    """The EKF that takes its Jacobians elsewhere, or corrects another error."""
 
-    F leads from one predicted pose to the next, H is at the predicted pose and at each landmark's
-    first place, also where it is initialised, so that what cannot be observed stays so.
-    Innovations are the current ones.
-    """
+    kind: ClassVar[type[Linearisation]] = Linearisation
 
-    def __init__(self, *parts: Any) -> None:
-        """As of Ekf."""
-        super().__init__(*parts)
-        self._predicted = self.state.pose
-        self._first = {kind: np.zeros((0, kind.width)) for kind in KINDS}
-
-    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
-        """Move, with F between predicted poses."""
-        step = self.motion.step(self.state.pose, control, duration_s)
-        east, north = (step.pose - self._predicted)[:2]
-        f = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
-        b = step.jacobian_control
-        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s, step.pose)
-        self.state.predict(step.pose, f, noise)
-        self._predicted = step.pose
-
-    def _initialise(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
-        model = self.models[measurements.kind]
-        point = model.invert(self.state.pose, measurements.z[rows]).landmark
-        _, by_pose, by_landmark = model.predict(self._predicted, point)
-        by_z = np.asarray(np.linalg.inv(by_landmark), dtype=float)
-        new = NewLandmarks(point, -by_z @ by_pose, by_z)
-        number = self._count[measurements.kind.name] + rows
-        self._append(
-            measurements.kind, number, landmark_indices[rows], new, measurements.noise[rows]
-        )
-
-    def _append(
+    def __init__(
         self,
-        kind: LandmarkKind,
-        number: Index,
-        landmark_index: Index,
-        new: NewLandmarks,
-        noise: Array,
-        *,
-        weight: float = 1.0,
+        motion: MotionModel,
+        association: Association,
+        prior_pose: Array,
+        prior_covariance: Array,
+        trace: Trace | None = None,
     ) -> None:
-        """Append landmarks, surveyed ones among them; where they begin is their first estimate."""
-        self._first[kind] = np.vstack((self._first[kind], new.landmark))
-        super()._append(kind, number, landmark_index, new, noise, weight=weight)
-
-    def _fuse(self, measurements: Measurements, landmark_indices: Index, rows: Index) -> None:
-        if not len(rows):
-            return
-        landmark_index, model = landmark_indices[rows], self.models[measurements.kind]
-
-        def linearise() -> Linearised:
-            local = self.state.map_of(landmark_index, measurements.kind)
-            expected = model.predict(local.pose, local.landmark).z
-            _, *parts = model.predict(
-                self._predicted, self._first[measurements.kind][landmark_index]
-            )
-            innovation = model.innovation(measurements.z[rows], expected).ravel()
-            return Linearised(local, stack(*parts), innovation)
-
-        self.fuse(
-            linearise,
-            measurements.noise[rows],
-            self._count[measurements.kind.name] + rows,
-            landmark_index,
+        """Start at a prior. Arguments as of `Ekf`."""
+        linearisation = self.kind()
+        super().__init__(
+            motion,
+            association,
+            prior_pose,
+            prior_covariance,
+            trace=trace,
+            linearisation=linearisation,
         )
 
 
-class InvariantState(KalmanState):
-    """Mean and covariance that an update corrects in right-invariant error (Zhang et al. 2017).
+class FirstEstimatesEkf(LinearisedEkf):
+    """The EKF whose Jacobians are those of the first estimates."""
 
-    With the error (t, p), a turn of the whole map and places in it, a place's additive error is
-    p + t J place, and a pose moves by the exponential of SE(2). To first order this is the EKF's
-    update; the covariance is turned from the old places to the new ones.
-    """
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        """Correct the mean on the group, then express the covariance at the new mean."""
-        before = self.mean.copy()
-        done = super().update(columns, jacobian, innovation, noise)
-        error = self.mean - before
-        size, turn = len(before), float(error[2])
-        place = self._places()
-        at, moved = _complex(before[place]), _complex(error[place])
-        after, spin = self._carried(turn, at, moved - 1j * turn * at)
-        self._mean[place[:, 0]], self._mean[place[:, 1]] = after.real, after.imag
-        across = 1j * (after - spin * at)
-        change = np.eye(size)
-        change[place[:, 0], 2], change[place[:, 1], 2] = across.real, across.imag
-        for k, one in enumerate((spin.real, spin.imag)):
-            change[place[:, 0], place[:, k]] = (1.0, -1.0)[k] * one
-            change[place[:, 1], place[:, 1 - k]] = one
-        p = self._covariance[:size, :size]
-        p[:] = change @ p @ change.T
-        return done
-
-    def _places(self) -> Index:
-        """(k, 2) entries x and y of the pose and of landmarks; headings have additive errors."""
-        first = np.concatenate(([0], *self.layout.first.values()))
-        entries: Index = first[first != ABSENT][:, None] + np.arange(2)
-        return entries
-
-    def _carried(
-        self, turn: float, at: NDArray[np.complex128], own: NDArray[np.complex128]
-    ) -> tuple[NDArray[np.complex128], complex]:
-        """Where places go by a turn and their error p, and how their own errors turn."""
-        spin = complex(np.exp(1j * turn))
-        return spin * at + ((spin - 1.0) / (1j * turn) if turn else 1.0) * own, 1.0 + 0.0j
+    kind = FirstEstimates
 
 
-class RobocentricState(InvariantState):
-    """Mean and covariance that an update corrects as seen from the vehicle (Castellanos 2004).
+class InvariantEkf(LinearisedEkf):
+    """The EKF with right-invariant errors."""
 
-    The errors are those of the map's origin and of the landmarks in the vehicle's frame. Predicting
-    is linear in these, and the chain rule makes F, Q and H those of the EKF.
-    """
-
-    def _carried(
-        self, turn: float, at: NDArray[np.complex128], own: NDArray[np.complex128]
-    ) -> tuple[NDArray[np.complex128], complex]:
-        spin = complex(np.exp(1j * turn))
-        return spin * (at + own), spin
+    kind = RightInvariant
 
 
-def _complex(places: Array) -> NDArray[np.complex128]:
-    found: NDArray[np.complex128] = places[:, 0] + 1j * places[:, 1]
-    return found
-
-
-class InvariantEkf(Ekf):
-    """The EKF with right-invariant errors; F, Q, H and new landmarks are those of the EKF."""
-
-    def __init__(self, *parts: Any) -> None:
-        """As of Ekf."""
-        super().__init__(*parts)
-        self.state = InvariantState(self.state.pose, np.array(self.state.covariance))
-
-
-class RobocentricEkf(Ekf):
+class RobocentricEkf(LinearisedEkf):
     """The EKF whose errors are those of origin and landmarks in the vehicle's frame."""
 
-    def __init__(self, *parts: Any) -> None:
-        """As of Ekf."""
-        super().__init__(*parts)
-        self.state = RobocentricState(self.state.pose, np.array(self.state.covariance))
+    kind = Robocentric
 
 
 class SigmaPoints(NamedTuple):

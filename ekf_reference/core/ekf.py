@@ -19,6 +19,7 @@ from ekf_reference.core.landmark_types import (
     MeasurementModel,
     NewLandmarks,
 )
+from ekf_reference.core.linearisation import Linearisation
 from ekf_reference.core.measurement_update import Linearised, UpdateSplitter
 from ekf_reference.core.measurements import (
     NOT_MEASURED,
@@ -28,7 +29,7 @@ from ekf_reference.core.measurements import (
 )
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord, StepRecord, Trace
-from ekf_reference.models.motion import MotionModel
+from ekf_reference.models.motion import MotionModel, pose_jacobian
 from ekf_reference.models.position import PositionFixes, Streak
 from ekf_reference.models.range_bearing import RangeBearing
 from ekf_reference.models.relative_pose import RelativePose
@@ -104,6 +105,7 @@ class Ekf:
         prior_covariance: Array,
         stabilisation: StepNoise | None = None,
         trace: Trace | None = None,
+        linearisation: Linearisation | None = None,
     ) -> None:
         """Start at a prior, with an empty map.
 
@@ -114,6 +116,8 @@ class Ekf:
             prior_covariance: (p, p), positive definite, of the additive global error.
             stabilisation: Noise that every step adds; none by default.
             trace: Receives every linearisation; by default nothing is recorded.
+            linearisation: Where Jacobians are taken, and in which error updates correct: at the
+                newest estimate, in the additive one, by default.
         """
         self.motion, self.association = motion, association
         self.models: dict[LandmarkKind, MeasurementModel] = {
@@ -124,7 +128,9 @@ class Ekf:
         self.boundless_variance: float | None = None
         self.stabilisation: StepNoise = stabilisation or Stabilisation()
         self.trace: Trace = trace or Trace()
-        self.state: KalmanState = KalmanState(prior_pose, prior_covariance)
+        self.linearisation = linearisation or Linearisation()
+        self.state: KalmanState = self.linearisation.state(prior_pose, prior_covariance)
+        self.linearisation.start(self.state.pose)
         self._count: Counter[str] = Counter()
         self._beyond = Streak()
         self.trace.prior(prior_pose, prior_covariance)
@@ -178,6 +184,10 @@ class Ekf:
         """
         departed = self.state.pose
         pose, f, b = self.motion.step(departed, control, duration_s)
+        if (at := self.linearisation.control(self.state, control)) is not None:
+            b = self.motion.step(*at, duration_s).jacobian_control
+        if (travel := self.linearisation.step(self.state, pose)) is not None:
+            f = pose_jacobian(*travel.tolist())
         noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s, pose)
         self.state.predict(pose, f, noise)
         self.trace.step(StepRecord(departed, pose, f, noise))
@@ -416,13 +426,22 @@ class Ekf:
         def linearise() -> Linearised:
             local = self.state.map_of(landmark_index, seen.kind)
             expected, *jacobians = model.predict(local.pose, local.landmark)
+            at = self.linearisation.measurement(self.state, landmark_index, seen.kind)
+            if at is not None:
+                _, *jacobians = model.predict(*at)
             return Linearised(local, stack(*jacobians), model.innovation(z, expected).ravel())
 
         self.fuse(linearise, seen.noise[rows], self._count[seen.kind.name] + rows, landmark_index)
 
     def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         landmark_index, number = landmark_indices[rows], self._count[seen.kind.name] + rows
-        new = self.models[seen.kind].invert(self.state.pose, seen.z[rows])
+        model = self.models[seen.kind]
+        new = model.invert(self.state.pose, seen.z[rows])
+        at = self.linearisation.initialisation(self.state, new.landmark, seen.kind)
+        if at is not None:
+            _, by_pose, by_landmark = model.predict(*at)
+            by_z = np.asarray(np.linalg.inv(by_landmark))
+            new = NewLandmarks(new.landmark, -by_z @ by_pose, by_z)
         if self.boundless_variance is None:
             self._append(seen.kind, number, landmark_index, new, seen.noise[rows])
         else:  # 2.56: know nothing, then fuse
@@ -445,5 +464,6 @@ class Ekf:
         record = MeasurementRecord(
             kind, number, landmark_index, self.state.pose, *new, noise, *zeros, weight
         )
+        self.linearisation.append(self.state, new.landmark, kind)
         self.state.augment(new, noise, kind)
         self.trace.initialisation(record)

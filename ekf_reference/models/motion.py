@@ -45,8 +45,21 @@ class MotionStep(NamedTuple):
         Returns:
             The step, with the Jacobian by the pose that every SE(2)-equivariant model has.
         """
-        by_pose = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
+        by_pose = pose_jacobian(east, north)
         return cls(pose + (east, north, turn), by_pose, jacobian_control)
+
+
+def pose_jacobian(east: float, north: float) -> Array:
+    """Return the Jacobian by the pose of a step that is the same everywhere in the vehicle's frame.
+
+    Args:
+        east: Displacement in the map [m].
+        north: Displacement in the map [m].
+
+    Returns:
+        (3, 3), df/dx of the additive global error.
+    """
+    return np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
 
 
 class MotionModel(Protocol):

@@ -8,7 +8,7 @@ import pytest
 
 from comparisons.adapters.ekf_factory import build_ekf
 from comparisons.adapters.filter_loop import FilterAttachment, FilterObservers, run_filter_loop
-from comparisons.adapters.filter_variants import FirstEstimatesEkf, InvariantState
+from comparisons.adapters.filter_variants import FirstEstimatesEkf
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array, Index
 from comparisons.config import CheckConfig, SolveConfig
@@ -24,7 +24,9 @@ from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import EKF, FILTERS, VARIANTS, filter_of
 from comparisons.pipeline.solve import prepare_solve
 from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.invariant_state import InvariantState
 from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks
+from ekf_reference.core.linearisation import FirstEstimates
 from ekf_reference.core.state import FilterDivergedError, KalmanState
 from ekf_reference.core.trace import Trace
 from tests.comparisons.kinds_of_logs import MAPS, ODOMETRY, SURVEY_SIGMA_M
@@ -202,9 +204,10 @@ class OfNewOnes(FirstEstimatesEkf):
     """Broken: the first estimates of surveyed landmarks are not kept."""
 
     def insert_surveyed(self, point: Array, covariance: Array) -> None:
-        before = {kind: array.copy() for kind, array in self._first.items()}
+        assert isinstance(self.linearisation, FirstEstimates)
+        before = dict(self.linearisation.first)
         super().insert_surveyed(point, covariance)
-        self._first = before
+        self.linearisation.first = before
 
 
 def test_what_takes_the_first_map_for_empty_is_rejected() -> None:

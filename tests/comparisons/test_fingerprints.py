@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.filter_loop import FilterObservers
-from comparisons.adapters.filter_variants import RobocentricState
 from comparisons.arrays import Array
 from comparisons.checks.grade import likeness
 from comparisons.checks.spread import within_spread
@@ -39,6 +38,7 @@ from comparisons.pipeline.clock import no_progress
 from comparisons.pipeline.references import APART, EKF, KINDS, SoundFilters, filter_named
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.invariant_state import RobocentricState
 from ekf_reference.core.landmark_types import NewLandmarks
 from research.filter_steps import counted_steps
 from slamcheck import load_log

@@ -10,24 +10,24 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.experiments.scenarios.world import ScenarioWorld, WorldMeasurements
 from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, BatchInvariantEkf
-from comparisons.experiments.variants.linearisation import (
-    AtEstimate,
-    AtFirstEstimate,
-    AtTruth,
-    ObservabilityConstrained,
-)
+from comparisons.experiments.variants.linearisation import AtTruth
 from comparisons.statistics import squared_distance
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.linearisation import (
+    FirstEstimates,
+    Linearisation,
+    ObservabilityConstrained,
+)
 
 _MOST_RECORDS = 500
 
 FILTERS: dict[str, Callable[[ScenarioWorld, int], BatchFilter]] = {
-    "ekf": lambda w, runs: BatchEkf(w.robot, AtEstimate(), runs, len(w.landmark)),
-    "fej": lambda w, runs: BatchEkf(w.robot, AtFirstEstimate(), runs, len(w.landmark)),
+    "ekf": lambda w, runs: BatchEkf(w.robot, Linearisation(), runs, len(w.landmark)),
+    "fej": lambda w, runs: BatchEkf(w.robot, FirstEstimates(), runs, len(w.landmark)),
     "oc": lambda w, runs: BatchEkf(w.robot, ObservabilityConstrained(), runs, len(w.landmark)),
     "riekf": lambda w, runs: BatchInvariantEkf(w.robot, runs, len(w.landmark)),
     "ideal": lambda w, runs: BatchEkf(
-        w.robot, AtTruth(w.pose, w.control, w.landmark), runs, len(w.landmark)
+        w.robot, AtTruth(w.pose, w.control, w.landmark[w.first_seen]), runs, len(w.landmark)
     ),
 }
 

@@ -55,6 +55,12 @@ class ScenarioWorld:
     seen: tuple[NDArray[np.intp], ...]
     sigma: tuple[Array, ...]
 
+    @property
+    def first_seen(self) -> NDArray[np.intp]:
+        """(L,) landmarks in the order in which they are first measured."""
+        every = np.concatenate(self.seen)
+        return every[np.sort(np.unique(every, return_index=True)[1])]
+
 
 @dataclass(frozen=True)
 class WorldMeasurements:

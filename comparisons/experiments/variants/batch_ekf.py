@@ -18,7 +18,8 @@ from comparisons.experiments.variants.batch_models import (
     unicycle,
 )
 from comparisons.experiments.variants.batch_state import BatchInvariantState, BatchState
-from comparisons.experiments.variants.linearisation import Linearisation
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.linearisation import Linearisation
 
 
 @dataclass(frozen=True)
@@ -73,18 +74,21 @@ class BatchEkf(_Labelled):
     def __init__(self, robot: Robot, linearisation: Linearisation, runs: int, capacity: int):
         """capacity: the most landmarks there may be."""
         super().__init__()
-        self._robot, self._points = robot, linearisation
+        self._robot, self._linearisation = robot, linearisation
         self.state = BatchState(robot.pose, robot.covariance, runs, capacity)
-        linearisation.start(self.state)
+        linearisation.start(self.state.pose)
 
     def predict(self, control: Array) -> None:
         """P becomes Phi P Phi^T + B Q B^T."""
-        robot = self._robot
-        arrival = unicycle(self.state.pose, control, robot.step_s)
-        at = self._points.predicted(self.state, arrival, control)
-        b = control_jacobian(at.heading, at.control, robot.step_s)
+        robot, state, points = self._robot, self.state, self._linearisation
+        arrival = unicycle(state.pose, control, robot.step_s)
+        departed, by = points.control(state, control) or (state.pose, control)
+        b = control_jacobian(departed[:, 2], by, robot.step_s)
         noise = (b * robot.sigma_odometry**2) @ b.transpose(0, 2, 1)
-        self.state.predict(arrival, at.travel, noise)
+        travel = points.step(state, arrival)
+        if travel is None:
+            travel = arrival[:, :2] - state.pose[:, :2]
+        state.predict(arrival, travel, noise)
 
     def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
@@ -98,18 +102,26 @@ class BatchEkf(_Labelled):
         sensor, pose = self._robot.sensor, self.state.pose
         offset = self.state.landmarks[:, landmark_index] - pose[:, None, :2]
         innovation = sensor.innovation(z, sensor.predict(pose[:, 2:], offset))
-        at = self._points.measured(self.state, self.label[landmark_index], landmark_index)
-        matrix = sensor.by_offset(at.heading[:, None], at.offset)
-        self.state.update(landmark_index, matrix, at.offset, innovation, sigma**2)
+        at = self._linearisation.measurement(self.state, landmark_index, POINT)
+        heading, lever = _seen_from(*(at or (pose, self.state.landmarks[:, landmark_index])))
+        matrix = sensor.by_offset(heading, lever)
+        self.state.update(landmark_index, matrix, lever, innovation, sigma**2)
 
     def _augment(self, z: Array, sigma: Array, label: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
         point = pose[:, None, :2] + sensor.offset(pose[:, 2:], z)
-        at = self._points.initialised(self.state, label, point)
-        by_measurement = np.linalg.inv(sensor.by_offset(at.heading[:, None], at.offset))
+        at = self._linearisation.initialisation(self.state, point, POINT)
+        heading, lever = _seen_from(*(at or (pose, point)))
+        by_measurement = np.linalg.inv(sensor.by_offset(heading, lever))
         spread = (by_measurement * sigma[:, None] ** 2) @ by_measurement.transpose(0, 1, 3, 2)
-        self.state.augment(point, at.offset, spread)
+        self._linearisation.append(self.state, point, POINT)
+        self.state.augment(point, lever, spread)
         self.label = np.concatenate((self.label, label))
+
+
+def _seen_from(pose: Array, landmark: Array) -> tuple[Array, Array]:
+    """Headings (B, 1) of poses (B, 3), and offsets (B, m, 2) of landmarks from these."""
+    return pose[:, 2:], landmark - pose[:, None, :2]
 
 
 class BatchInvariantEkf(_Labelled):

@@ -12,6 +12,7 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.experiments.variants.batch_models import rotated, turned
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.landmark_types import POINT, LandmarkKind
 from ekf_reference.core.layout import Layout
 
 
@@ -61,6 +62,10 @@ class BatchState:
     def landmarks(self) -> Array:
         """(B, L, 2), a view."""
         return self.mean[:, 3:].reshape(len(self._mean), -1, 2)
+
+    def places(self, kind: LandmarkKind) -> Array:
+        """(B, L, 2) of points, a view; there are no others."""
+        return self.landmarks if kind == POINT else np.zeros((len(self._mean), 0, kind.width))
 
     def predict(self, pose: Array, travel: Array, noise: Array) -> None:
         """Move the robots; Phi = [[I, J travel], [0, 1]].

@@ -20,8 +20,6 @@ from comparisons.audit.spurious import (
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.world import ScenarioWorld, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, BatchInvariantEkf
-from comparisons.experiments.variants.batch_state import BatchState
-from comparisons.experiments.variants.linearisation import AtFirstEstimate, MeasuredPoints
 from comparisons.trace.events import (
     Augment,
     Clone,
@@ -34,6 +32,8 @@ from comparisons.trace.events import (
     TracePrior,
     Update,
 )
+from ekf_reference.core.landmark_types import LandmarkKind
+from ekf_reference.core.linearisation import FirstEstimates, MeanState, Points
 from research.recorded_batch import record
 from tests.comparisons.montecarlo.worlds import short_world
 from tests.helpers import present
@@ -319,12 +319,13 @@ def test_broken_recursions_are_rejected(
     assert not np.allclose(trace.learnt().information, expected, rtol=1e-3)
 
 
-class NewestLandmarks(AtFirstEstimate):
+class NewestLandmarks(FirstEstimates):
     """Broken: one Jacobian of FEJ, that by the landmarks, is taken at their newest estimates."""
 
-    def measured(self, state: BatchState, label: Index, landmark_index: Index) -> MeasuredPoints:
-        offset = state.landmarks[:, landmark_index] - self._before[:, None, :2]
-        return MeasuredPoints(self._before[:, 2], offset)
+    def measurement(
+        self, state: MeanState, landmark_index: Index, kind: LandmarkKind
+    ) -> Points | None:
+        return self.predicted, state.places(kind)[..., landmark_index, :]
 
 
 def learnt_on_the_circle(filter_: BatchFilter, place: ScenarioWorld) -> Learnt:

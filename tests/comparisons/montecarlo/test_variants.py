@@ -11,18 +11,22 @@ from comparisons.experiments.scenarios.world import ScenarioWorld, WorldMeasurem
 from comparisons.experiments.variants.batch_ekf import BatchEkf
 from comparisons.experiments.variants.batch_models import BatchSensor, RelativePosition
 from comparisons.experiments.variants.batch_state import BatchInvariantState, BatchState, measured
-from comparisons.experiments.variants.linearisation import (
-    AtEstimate,
-    AtFirstEstimate,
-    AtTruth,
-    Linearisation,
-    MeasuredPoints,
-    ObservabilityConstrained,
-    StepPoints,
-)
+from comparisons.experiments.variants.linearisation import AtTruth
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT, NewLandmarks, PredictedMeasurements
+from ekf_reference.core.landmark_types import (
+    POINT,
+    LandmarkKind,
+    NewLandmarks,
+    PredictedMeasurements,
+)
+from ekf_reference.core.linearisation import (
+    FirstEstimates,
+    Linearisation,
+    MeanState,
+    ObservabilityConstrained,
+    Points,
+)
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.comparisons.montecarlo.worlds import short_world
@@ -258,30 +262,36 @@ def additive(state: BatchState) -> Array:
     return result
 
 
-class Noted:
+class Noted(Linearisation):
     """Remembers where another linearises."""
 
     def __init__(self, inner: Linearisation) -> None:
         self.inner = inner
         self.events: list[tuple[Any, Any]] = []
 
-    def start(self, state: BatchState) -> None:
-        self.inner.start(state)
+    def start(self, pose: Array) -> None:
+        self.inner.start(pose)
 
-    def predicted(self, state: BatchState, arrival: Array, control: Array) -> StepPoints:
-        points = self.inner.predicted(state, arrival, control)
-        self.events.append((None, points.travel[0].copy()))
-        return points
+    def control(self, state: MeanState, control: Array) -> Points | None:
+        return self.inner.control(state, control)
 
-    def measured(self, state: BatchState, label: Any, landmark_index: Any) -> MeasuredPoints:
-        points = self.inner.measured(state, label, landmark_index)
-        self.events.append(
-            (landmark_index, MeasuredPoints(points.heading.copy(), points.offset.copy()))
-        )
-        return points
+    def step(self, state: MeanState, arrived: Array) -> Array | None:
+        travel = self.inner.step(state, arrived)
+        way = arrived[:, :2] - state.pose[:, :2] if travel is None else travel
+        self.events.append((None, way[0].copy()))
+        return travel
 
-    def initialised(self, state: BatchState, label: Any, point: Array) -> MeasuredPoints:
-        return self.inner.initialised(state, label, point)
+    def measurement(self, state: MeanState, landmark_index: Any, kind: LandmarkKind) -> Points:
+        points = self.inner.measurement(state, landmark_index, kind)
+        pose, place = points or (state.pose, state.places(kind)[:, landmark_index])
+        self.events.append((landmark_index, (pose[:, 2].copy(), place - pose[:, None, :2])))
+        return pose, place
+
+    def initialisation(self, state: MeanState, place: Array, kind: LandmarkKind) -> Points | None:
+        return self.inner.initialisation(state, place, kind)
+
+    def append(self, state: MeanState, place: Array, kind: LandmarkKind) -> None:
+        self.inner.append(state, place, kind)
 
 
 @pytest.mark.parametrize(("name", "nullity"), [("ekf", 2), ("fej", 3), ("oc", 3), ("ideal", 3)])
@@ -290,10 +300,10 @@ def test_the_frame_of_the_map_is_unobservable(name: str, nullity: int, scenario:
     """Rank of the local observability matrix, over the second loop; the standard EKF fails it."""
     world = short_world(scenario, 420)
     inner: dict[str, Linearisation] = {
-        "ekf": AtEstimate(),
-        "fej": AtFirstEstimate(),
+        "ekf": Linearisation(),
+        "fej": FirstEstimates(),
         "oc": ObservabilityConstrained(),
-        "ideal": AtTruth(world.pose, world.control, world.landmark),
+        "ideal": AtTruth(world.pose, world.control, world.landmark[world.first_seen]),
     }
     noted = Noted(inner[name])
     filter_ = BatchEkf(world.robot, noted, 1, len(world.landmark))
@@ -311,8 +321,9 @@ def test_the_frame_of_the_map_is_unobservable(name: str, nullity: int, scenario:
         if landmark_index is None:
             phi[:2] += np.array((-points[1], points[0]))[:, None] * phi[2]
         else:
-            matrix = world.robot.sensor.by_offset(points.heading[:, None], points.offset)
-            rows.append(measured(matrix, points.offset, landmark_index, phi[None])[0])
+            heading, offset = points
+            matrix = world.robot.sensor.by_offset(heading[:, None], offset)
+            rows.append(measured(matrix, offset, landmark_index, phi[None])[0])
     seen = np.unique(np.concatenate([s for s, _ in noted.events if s is not None]))
     columns = np.concatenate((np.arange(3), *((3 + 2 * s, 4 + 2 * s) for s in seen)))
     values = np.linalg.svd(np.concatenate(rows)[:, columns], compute_uv=False)
