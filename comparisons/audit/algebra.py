@@ -35,6 +35,7 @@ from comparisons.trace.events import (
     Blocks,
     Clone,
     Directions,
+    Evaluation,
     Event,
     Predict,
     Remove,
@@ -76,7 +77,7 @@ _LEFT = 4 * float(np.finfo(float).eps)
 _NOTHING = 1e-30
 """A variance, in whatever unit, that is rounding of nothing."""
 _UNTOLD = "and the covariance is compared with nothing: record the gains"
-_OF_EVENTS = ("noise", "use", "covariance", "algebra", "correction", "gain")
+_OF_EVENTS = ("noise", "use", "derivatives", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
@@ -85,8 +86,8 @@ class AuditFinding:
     """What the audit found.
 
     Attributes:
-        check: noise, use, algebra, covariance, correction, gain, precision, innovations, smoother,
-            nees or spurious.
+        check: noise, use, derivatives, algebra, covariance, correction, gain, precision,
+            innovations, smoother, nees or spurious.
         fault: whether it makes the trace faulty; what is only named does not.
         text: the finding as a sentence.
         event: number of the event where it is first seen.
@@ -169,12 +170,17 @@ class AlgebraCheck:
         self._unlike_any: Counter[str] = Counter()
         self._raw: Array | None = None
 
+    @property
+    def before(self) -> Array | None:
+        """(n, n) P before the last event that changed it; None where that is not known."""
+        return self._last_before
+
     def take(self, event: Event, unsound: str = "") -> Fused | None:
         """Do an event, or compare a snapshot; return what an update came to, if that is known.
 
         unsound: what is wrong with its noise, or the prior's P, where that is no covariance.
         """
-        if isinstance(event, Directions):
+        if isinstance(event, Directions | Evaluation):
             return None
         if unsound:
             self._last = event
@@ -871,6 +877,6 @@ def name_of(event: Event) -> str:
             what = "reset"
         case TracePrior():
             return "the prior"
-        case Snapshot() | Directions():
+        case Snapshot() | Directions() | Evaluation():
             return f"event {event.number}"
     return f"event {event.number} ({what})"

@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.innovations import NO_SENSOR, InnovationLog
 from comparisons.statistics import chi2_quantile
-from comparisons.trace.events import Directions, Event, SensorDescription, Snapshot, Update
+from comparisons.trace.events import TELLING, Event, SensorDescription, Update
 
 _SAME = 1e-9
 """Of a residual and of what a correction takes off it: rounding."""
@@ -67,7 +67,7 @@ class MeasurementUse:
             layout: Of the state.
             sound: The recursion is what the filter holds, so that its S is the filter's.
         """
-        if isinstance(event, Snapshot | Directions):
+        if isinstance(event, TELLING):
             return
         if not isinstance(event, Update) or event.time_s != self._time_s:
             self._instant, self._fresh, self._time_s = [], True, event.time_s
