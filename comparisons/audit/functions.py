@@ -61,7 +61,7 @@ _AT_FIRST = 20
 _FEW_TERMS = 36
 """Entries of a matrix up to which two changes at once are tried."""
 _BEFORE = "that of the event before of its kind"
-_AXES = {
+AXES = {
     "in the body's axes by its rows (times the attitude's inverse from the left)": (True, -1),
     "in the world's axes by its rows (times the attitude from the left)": (True, 1),
     "by errors in the world's axes (times the attitude's inverse from the right)": (False, -1),
@@ -251,7 +251,7 @@ class FunctionCheck:
         value_allowed = _ROUNDING * np.maximum(np.abs(value) + np.abs(expected), size)
         if len(unit) == len(value):
             value_allowed = value_allowed + self._tolerance * unit
-        elsewhere = _turned(meant, self._attitude(event, waiting.layout))
+        elsewhere = turned_axes(meant, self._attitude(event, waiting.layout))
         if records.last is not None and records.count < FIRST:
             elsewhere[_BEFORE] = records.last.meant
         matrices = have, meant, allowed
@@ -311,12 +311,12 @@ class FunctionCheck:
         return records
 
 
-def _turned(meant: Array, rotation: Array | None) -> dict[str, Array]:
+def turned_axes(meant: Array, rotation: Array | None) -> dict[str, Array]:
     """Return a matrix in other frames, by words: its rows or columns turned, three and three."""
     if rotation is None:
         return {}
     turned = {}
-    for words, (of_rows, power) in _AXES.items():
+    for words, (of_rows, power) in AXES.items():
         size = meant.shape[0 if of_rows else 1]
         if size % 3 == 0:
             turn = np.kron(np.eye(size // 3), rotation if power > 0 else rotation.T)
@@ -471,7 +471,7 @@ def _named_changes(deviating: list[_Compared], slot: Slot) -> tuple[list[str], s
         words = set.intersection(*(set(record.elsewhere) for record in records))
         elsewhere = {
             name: np.array([record.elsewhere[name] for record in records])
-            for name in (*_AXES, _BEFORE)
+            for name in (*AXES, _BEFORE)
             if name in words
         }
         quantity = Quantity(have=have, meant=meant, tolerance=allowed, records="events")

@@ -46,7 +46,8 @@ class Chart(NamedTuple):
 class JointChart:
     """Of several blocks, one after the other.
 
-    numbers, errors: how many there are in all. turning: (n,) which errors are angles.
+    numbers, errors: how many there are in all. turning: (n,) which errors are angles. angles: which
+    numbers are.
     """
 
     def __init__(self, charts: Sequence[Chart], dims: Sequence[int]) -> None:
@@ -63,11 +64,13 @@ class JointChart:
             self.numbers, self.errors = self.numbers + chart.numbers, self.errors + dim
             at, of = slice(first[0], self.numbers), slice(first[1], self.errors)
             self._parts.append((chart._replace(numbers=at.stop - at.start), at, of))
-        self.turning = np.zeros(self.errors, dtype=bool)
+        self.turning, self.angles = np.zeros(self.errors, dtype=bool), list[int]()
         for chart, _, of in self._parts:
             begin, end = _TURNING.get((chart.numbers, of.stop - of.start), (0, 0))
             if chart.minus is not _subtracted:
                 self.turning[of.start + begin : of.start + end] = True
+            if chart.minus is _turned_back:
+                self.angles.append(at.stop - 1)
         self.is_additive = all(chart.minus is _subtracted for chart in charts)
 
     def plus(self, numbers: Array, error: Array) -> Array:
@@ -103,6 +106,7 @@ class JointChart:
         for chart, at, of in self._parts:
             if chart.plus is _added:
                 sizes[of] = np.abs(numbers[at])
+        sizes[self.turning] = 1.0
         return sizes
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Mask
 from comparisons.trace.charts import JointChart
 
 _STEP = 1e-3
@@ -24,6 +24,12 @@ _SMALLER, _MOST_SMALLER = 8.0, 6
 """By what steps are divided where two disagree, and how often."""
 _DISAGREE = 1e-5
 """Relative to a column's largest entry."""
+_TINY, _ROUGHLY = 1e-6, 0.1
+"""Share of a step, with which a difference is that of another within so much but for rounding."""
+_MOST_RAD = 1e6
+"""Beyond it an angle, as of a filter that has diverged, goes round too often to be told."""
+_MOST_TURNED = 0.5
+"""Radians by which a step turns an angle at the most."""
 _REMAINDER = 0.1
 """Share of the difference of two steps that their extrapolation may be off by."""
 _ROUNDINGS = 16.0 * float(np.finfo(float).eps)
@@ -38,10 +44,14 @@ class Evaluated(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """step: (n,) at which two agreed. relative: (m, n) what they differed by there."""
+    """step: (n,) at which two agreed. relative: (m, n) what they differed by there.
+
+    first: (n,) the steps that were tried first, by the sizes of the numbers.
+    """
 
     step: Array
     relative: Array
+    first: Array
 
 
 def evaluate(
@@ -72,6 +82,8 @@ def evaluate(
     value = _numbers(function(point.copy()))
     if after is not None and len(value) != after.numbers:
         raise ValueError(f"gives {len(value)} numbers, expected {after.numbers}")
+    if after is not None and np.abs(value[after.angles]).max(initial=0.0) > _MOST_RAD:
+        raise ValueError(f"gives an angle of more than {_MOST_RAD:g} rad")
 
     def column(k: int, step: float) -> Array:
         """Central difference by one entry."""
@@ -93,17 +105,21 @@ def evaluate(
     rounding = _Rounding(size, point)
     steps = np.maximum(before.sizes(point), sigma) * _STEP
     steps[steps == 0.0] = _STEP
+    first = steps.copy()
     relative = np.zeros((width, before.errors))
+    turning = np.zeros(width, dtype=bool) if after is None else after.turning
     for k in range(before.errors):
-        by_known = np.full(width, np.inf) if known is None else column(k, float(known.step[k]))
+        by_known = np.full(width, np.inf)
+        if known is not None and 1.0 / _SMALLER < first[k] / known.first[k] < _SMALLER:
+            by_known = column(k, float(known.step[k]))
         if known is None or not np.isfinite(by_known).all():
-            found = _extrapolated(partial(column, k), float(steps[k]), rounding)
+            found = _extrapolated(partial(column, k), float(steps[k]), rounding, turning)
             jacobian[:, k], uncertainty[:, k], steps[k], relative[:, k] = found
             continue
         steps[k], relative[:, k], jacobian[:, k] = known.step[k], known.relative[:, k], by_known
         error = 2.0 * relative[:, k] * np.abs(by_known)
         uncertainty[:, k] = error + rounding.of(by_known, float(steps[k]))
-    return Evaluated(value, jacobian, uncertainty), Steps(steps, relative)
+    return Evaluated(value, jacobian, uncertainty), Steps(steps, relative, first)
 
 
 class _Rounding:
@@ -122,18 +138,25 @@ class _Rounding:
 
 
 def _extrapolated(
-    column: Callable[[float], Array], step: float, rounding: _Rounding
+    column: Callable[[float], Array], step: float, rounding: _Rounding, turning: Mask
 ) -> tuple[Array, Array, float, Array]:
     """Return a derivative (m,), about its error (m,), and the step, with what two differ by there.
 
-    Each entry is of the step with which its error is least; the step is the last.
+    Each entry is of the step with which its error is least; the step is the last. turning: (m,)
+    which entries are of angles.
     """
     best = error = relative = np.zeros(0)
+    rough, tiny = column(_TINY * step), _TINY * step  # a function that goes round fast is unmasked
+    fastest = float(np.abs(np.nan_to_num(rough[turning], posinf=0.0)).max(initial=0.0))
+    step = min(step, _MOST_TURNED / fastest) if fastest > 0.0 else step
     for _ in range(_MOST_SMALLER):
         coarse, fine = column(step), column(0.5 * step)
         if np.isfinite(coarse + fine).all():
             apart, rounded = np.abs(fine - coarse), rounding.of(fine, step)
             agree = apart <= _DISAGREE * np.abs(fine) + rounded
+            unlike = np.abs(fine - rough) - _ROUGHLY * np.abs(rough) - rounding.of(rough, tiny)
+            agree &= ~(unlike > 0.0)
+            apart = np.where(unlike > 0.0, np.abs(fine - rough), apart)
             off = np.where(agree, _REMAINDER, 1.0) * apart + rounded
             extrapolated = (4.0 * fine - coarse) / 3.0
             better = off < error if len(best) else np.ones(len(off), dtype=bool)

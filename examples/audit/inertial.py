@@ -25,8 +25,13 @@ STATE = {"attitude": 3, "velocity": 3, "position": 3, "gyro bias": 3, "accelerom
 SIGMA = np.repeat([0.02, 0.2, 1.0, 0.005, 0.05], 3)
 DENSITY = np.repeat([0.005, 0.05, 1e-4, 1e-4, 1e-3], 3)
 R = 0.25 * np.eye(3)
-Change = Callable[[str, Array], Array]
-"""Of the name of a matrix, F or H, and the matrix: what a filter with a fault has instead."""
+Change = Callable[[str, Array, Array], Array]
+"""Of the name of a matrix, F or H, the matrix, and the state: what a filter with a fault has."""
+
+
+def unchanged(name: str, matrix: Array, x: Array) -> Array:
+    """Return a matrix as it is."""
+    return matrix
 
 
 def skew(vector: Array) -> Array:
@@ -95,9 +100,7 @@ def plus(x: Array, error: Array) -> Array:
     return np.concatenate((turned.ravel(), x[9:] + error[3:]))
 
 
-def fly(
-    path: str | Path, change: Change = lambda name, matrix: matrix, seed: int = 0, steps: int = 1500
-) -> None:
+def fly(path: str | Path, change: Change = unchanged, seed: int = 0, steps: int = 1500) -> None:
     """Simulate a turning drive, filter it, and record it. change: of the filter's Jacobians."""
     rng = np.random.default_rng(seed)
     q, p = np.diag(DENSITY**2 * DT), np.diag(SIGMA**2)
@@ -111,7 +114,7 @@ def fly(
             force = np.array([0.5 * np.cos(time_s), 1.5, 0.0]) + truth[18:]
             force = force - truth[:9].reshape(3, 3).T @ GRAVITY
             truth = plus(moved(truth, gyro, force), DENSITY * DT**0.5 * rng.standard_normal(15))
-            by_state = change("F", jacobian_of_move(x, gyro, force))
+            by_state = change("F", jacobian_of_move(x, gyro, force), x)
             before, x = x, moved(x, gyro, force)
             p = by_state @ p @ by_state.T + q
             record.at(time_s)
@@ -119,7 +122,7 @@ def fly(
             record.predict(by_state, q, function=function, point=before, after=x)
             if step % EVERY == 0:
                 z = antenna(truth) + np.sqrt(np.diag(R)) * rng.standard_normal(3)
-                residual, by_state = z - antenna(x), change("H", jacobian_of_antenna(x))
+                residual, by_state = z - antenna(x), change("H", jacobian_of_antenna(x), x)
                 gain = p @ by_state.T @ np.linalg.inv(by_state @ p @ by_state.T + R)
                 record.update(
                     *("gnss", residual, by_state, R),
@@ -133,7 +136,7 @@ def fly(
                 record.snapshot(p)
 
 
-def without_lever(name: str, matrix: Array) -> Array:
+def without_lever(name: str, matrix: Array, x: Array) -> Array:
     """Return H as of an antenna without a lever arm."""
     if name == "H":
         matrix[:, :3] = 0.0
@@ -141,4 +144,4 @@ def without_lever(name: str, matrix: Array) -> Array:
 
 
 if __name__ == "__main__":
-    fly(sys.argv[1], without_lever if "--bug" in sys.argv else lambda name, matrix: matrix)
+    fly(sys.argv[1], without_lever if "--bug" in sys.argv else unchanged)

@@ -24,8 +24,13 @@ VECTORS = {"gravity": np.array([0.0, 0.0, 9.81]), "field": np.array([0.2, 0.0, 0
 R = {"gravity": 0.01 * np.eye(3), "field": 1e-4 * np.eye(3)}
 DENSITY = np.repeat([0.01, 1e-4], 3)
 SIGMA = np.repeat([0.3, 0.02], 3)
-Change = Callable[[str, Array], Array]
-"""Of the name of a matrix, F or H, and the matrix: what a filter with a fault has instead."""
+Change = Callable[[str, Array, Array], Array]
+"""Of the name of a matrix, F or H, the matrix, and the state: what a filter with a fault has."""
+
+
+def unchanged(name: str, matrix: Array, x: Array) -> Array:
+    """Return a matrix as it is."""
+    return matrix
 
 
 def turned(x: Array, gyro: Array) -> Array:
@@ -51,9 +56,7 @@ def in_body(x: Array, vector: Array) -> Array:
     return np.asarray(x[:9].reshape(3, 3).T @ vector)
 
 
-def point(
-    path: str | Path, change: Change = lambda name, matrix: matrix, seed: int = 0, steps: int = 400
-) -> None:
+def point(path: str | Path, change: Change = unchanged, seed: int = 0, steps: int = 400) -> None:
     """Simulate a turning body, filter it, and record it. change: of the filter's Jacobians."""
     rng = np.random.default_rng(seed)
     q, p = np.diag(DENSITY**2 * DT), np.diag(SIGMA**2)
@@ -65,7 +68,7 @@ def point(
             rate = np.array([0.1, 0.2 * np.cos(0.1 * step), 0.4])
             gyro = rate + truth[9:]
             truth = plus(turned(truth, gyro), DENSITY * DT**0.5 * rng.standard_normal(6))
-            by_state = change("F", jacobian_of_turn(x, gyro))
+            by_state = change("F", jacobian_of_turn(x, gyro), x)
             before, x = x, turned(x, gyro)
             p = by_state @ p @ by_state.T + q
             record.at(step * DT)
@@ -75,7 +78,7 @@ def point(
                 r = R[sensor]
                 z = in_body(truth, vector) + np.sqrt(np.diag(r)) * rng.standard_normal(3)
                 by_state = np.hstack((x[:9].reshape(3, 3).T @ skew(vector), np.zeros((3, 3))))
-                by_state, residual = change("H", by_state), z - in_body(x, vector)
+                by_state, residual = change("H", by_state, x), z - in_body(x, vector)
                 gain = p @ by_state.T @ np.linalg.inv(by_state @ p @ by_state.T + r)
                 record.update(
                     *(sensor, residual, by_state, r),
@@ -95,7 +98,7 @@ def plus(x: Array, error: Array) -> Array:
     return np.concatenate((attitude.ravel(), x[9:] + error[3:]))
 
 
-def on_the_other_side(name: str, matrix: Array) -> Array:
+def on_the_other_side(name: str, matrix: Array, x: Array) -> Array:
     """Return H as if the attitude's error were on the body's side, in the sign alone."""
     if name == "H":
         matrix[:, :3] *= -1.0
@@ -103,4 +106,4 @@ def on_the_other_side(name: str, matrix: Array) -> Array:
 
 
 if __name__ == "__main__":
-    point(sys.argv[1], on_the_other_side if "--bug" in sys.argv else lambda name, matrix: matrix)
+    point(sys.argv[1], on_the_other_side if "--bug" in sys.argv else unchanged)

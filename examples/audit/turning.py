@@ -21,8 +21,13 @@ DT = 0.1
 STATE = {"position": 2, "heading": 1, "speed": 1, "turn": 1}
 Q = DT * np.diag([1e-4, 1e-4, 1e-4, 1e-2, 1e-3])
 R = np.diag([0.04, 0.001])
-Change = Callable[[str, Array], Array]
-"""Of the name of a matrix, F or H, and the matrix: what a filter with a fault has instead."""
+Change = Callable[[str, Array, Array], Array]
+"""Of the name of a matrix, F or H, the matrix, and the state: what a filter with a fault has."""
+
+
+def unchanged(name: str, matrix: Array, x: Array) -> Array:
+    """Return a matrix as it is."""
+    return matrix
 
 
 def f(x: Array) -> Array:
@@ -60,9 +65,7 @@ def wrapped(angle: float) -> float:
     return float(np.arctan2(np.sin(angle), np.cos(angle)))
 
 
-def track(
-    path: str | Path, change: Change = lambda name, matrix: matrix, seed: int = 0, steps: int = 400
-) -> None:
+def track(path: str | Path, change: Change = unchanged, seed: int = 0, steps: int = 400) -> None:
     """Simulate a target, filter it, and record what the filter does. change: of its Jacobians."""
     rng = np.random.default_rng(seed)
     p = np.diag([1.0, 1.0, 0.1, 1.0, 0.01])
@@ -72,7 +75,7 @@ def track(
         record.prior(STATE, p, point=x, charts={"heading": "angle"})
         for step in range(1, steps + 1):
             truth = f(truth) + np.sqrt(np.diag(Q)) * rng.standard_normal(5)
-            by_state = change("F", jacobian_of_f(x))
+            by_state = change("F", jacobian_of_f(x), x)
             before, x = x, f(x)
             p = by_state @ p @ by_state.T + Q
             record.at(step * DT)
@@ -81,7 +84,7 @@ def track(
                 z = h(truth) + np.sqrt(np.diag(R)) * rng.standard_normal(2)
                 residual = z - h(x)
                 residual[1] = wrapped(residual[1])
-                by_state = change("H", jacobian_of_h(x))
+                by_state = change("H", jacobian_of_h(x), x)
                 gain = p @ by_state.T @ np.linalg.inv(by_state @ p @ by_state.T + R)
                 record.update(
                     *("radar", residual, by_state, R),
@@ -96,7 +99,7 @@ def track(
             record.snapshot(p)
 
 
-def without_turn(name: str, matrix: Array) -> Array:
+def without_turn(name: str, matrix: Array, x: Array) -> Array:
     """Return F without what the turn rate does to the heading."""
     if name == "F":
         matrix[2, 4] = 0.0
@@ -104,4 +107,4 @@ def without_turn(name: str, matrix: Array) -> Array:
 
 
 if __name__ == "__main__":
-    track(sys.argv[1], without_turn if "--bug" in sys.argv else lambda name, matrix: matrix)
+    track(sys.argv[1], without_turn if "--bug" in sys.argv else unchanged)
