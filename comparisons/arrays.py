@@ -27,6 +27,11 @@ def upper_triangles(full: Array) -> Array:
     return full[:, *np.triu_indices(full.shape[-1])]
 
 
+def wrapped(angle: Array) -> Array:
+    """Return angles [rad] of any shape in (-pi, pi]."""
+    return math.pi - np.mod(math.pi - angle, 2.0 * math.pi)
+
+
 def rotations(angle: Array) -> Array:
     """Return matrices (N, 2, 2) that turn vectors by angles (N,) [rad]."""
     cos, sin = np.cos(angle), np.sin(angle)

@@ -47,6 +47,7 @@ from comparisons.trace.events import (
     Blocks,
     Clone,
     Directions,
+    Evaluation,
     Event,
     Predict,
     Remove,
@@ -71,7 +72,7 @@ _SMALL = 0.01
 _SLIGHT = 1e-3
 """Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
 _UNTOLD = "and the covariance is compared with nothing: record the gains"
-_OF_EVENTS = ("noise", "use", "covariance", "algebra", "correction", "gain")
+_OF_EVENTS = ("noise", "use", "derivatives", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
@@ -80,8 +81,8 @@ class AuditFinding:
     """What the audit found.
 
     Attributes:
-        check: noise, use, algebra, covariance, correction, gain, precision, innovations, smoother,
-            nees or spurious.
+        check: noise, use, derivatives, algebra, covariance, correction, gain, precision,
+            innovations, smoother, nees or spurious.
         fault: whether it makes the trace faulty; what is only named does not.
         text: the finding as a sentence.
         event: number of the event where it is first seen.
@@ -166,12 +167,17 @@ class AlgebraCheck:
         self._unlike_any: Counter[str] = Counter()
         self._raw: Array | None = None
 
+    @property
+    def before(self) -> Array | None:
+        """(n, n) P before the last event that changed it; None where that is not known."""
+        return self._last_before
+
     def take(self, event: Event, unsound: str = "") -> Fused | None:
         """Do an event, or compare a snapshot; return what an update came to, if that is known.
 
         unsound: what is wrong with its noise, or the prior's P, where that is no covariance.
         """
-        if isinstance(event, Directions):
+        if isinstance(event, Directions | Evaluation):
             return None
         if unsound:
             self._last = event
@@ -862,6 +868,6 @@ def name_of(event: Event) -> str:
             what = "reset"
         case TracePrior():
             return "the prior"
-        case Snapshot() | Directions():
+        case Snapshot() | Directions() | Evaluation():
             return f"event {event.number}"
     return f"event {event.number} ({what})"

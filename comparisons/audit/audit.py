@@ -29,6 +29,7 @@ from comparisons.audit.consistency import (
 from comparisons.audit.error_curves import BlockErrorCurve, ErrorCurves
 from comparisons.audit.estimate_figures import EstimateFigures, EstimateKind, figures_of_steps
 from comparisons.audit.explained import ExplainedInnovations, explained_innovations
+from comparisons.audit.functions import FunctionCheck, FunctionFigures
 from comparisons.audit.least_squares import AnchoredSmoother
 from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
@@ -45,6 +46,7 @@ from comparisons.trace.events import (
     Augment,
     Clone,
     Directions,
+    Evaluation,
     Event,
     Predict,
     Remove,
@@ -113,6 +115,8 @@ class Audit:
         oracle_agreement: largest difference of the two solutions, in standard deviations, up to the
             first fault.
         gains_compared: how many gains and corrections were compared with Kalman's.
+        functions: matrices beside the derivatives of the filter's functions, where it has recorded
+            these.
         sensors: innovations by sensor.
         smoother: filter against smoother.
         nees: errors by the recorded truth.
@@ -147,6 +151,7 @@ class Audit:
     gaps: tuple[AlgebraGap, ...]
     oracle_agreement: float
     gains_compared: int
+    functions: tuple[FunctionFigures, ...]
     sensors: tuple[SensorInnovations, ...]
     smoother: Averaged | None
     nees: Averaged | None
@@ -200,6 +205,7 @@ class _Pass:
         self.smoother: AnchoredSmoother
         self.innovations = EventInnovations(trace.sensors)
         self.uses = MeasurementUse(trace.sensors)
+        self.functions, self.as_functions = FunctionCheck(trace.sensors, tolerance), True
         self.prior: TracePrior
         self.errors: BlockErrors
         self.error_curves: ErrorCurves
@@ -224,6 +230,7 @@ class _Pass:
             self._do(event)
             self.states.take(event)
         self.algebra.end()
+        self._judge_functions()
         sensors = self.innovations.figures()
         level = FALSE_ALARMS / (len(sensors) + 3)
         figures = self._figures()
@@ -245,7 +252,8 @@ class _Pass:
             replace(finding, time_s=self.states.time_s(finding.event))
             for finding in self.algebra.findings()
         )
-        verdict: Verdict = "sound" if self.compared or self.algebra.gains else "nothing checked"
+        checked = self.compared or self.algebra.gains or self.functions.compared
+        verdict: Verdict = "sound" if checked else "nothing checked"
         return Audit(
             trace=self.trace.path,
             **self.trace.counts._asdict(),
@@ -261,6 +269,7 @@ class _Pass:
             gains_compared=self.algebra.gains,
             gains_unlike=self.algebra.unlike,
             follows_kalman=self.algebra.optimal,
+            functions=self.functions.figures(),
             sensors=sensors,
             smoother=figures.smoothed.averaged,
             nees=figures.nees.get(""),
@@ -293,10 +302,13 @@ class _Pass:
                 if self.spurious is not None and self.unsolved is None:
                     self.spurious.take(event)
                 fused = self.algebra.take(event, unsound)
+                self._evaluate(event, fused)
                 self._follow(event, fused)
                 self._judge_use(event, fused)
                 if self.unsolved is None:
                     self.smoother.take(event, fused)
+            case Evaluation():
+                self._evaluate(event, None)
             case Snapshot():
                 self._snapshot(event)
             case TracePrior():
@@ -304,6 +316,7 @@ class _Pass:
                 layout = BlockLayout(event.blocks, event.dims)
                 self.errors, self.error_curves = BlockErrors(layout), ErrorCurves(layout)
                 self.algebra.take(event, unsound)
+                self._evaluate(event, None)
                 if not unsound:
                     self.smoother = AnchoredSmoother(event)
             case Directions() if self.unsolved is None:
@@ -318,6 +331,27 @@ class _Pass:
                 self.innovations.begin(event)
             case _:
                 pass
+
+    def _evaluate(self, event: Event, fused: Fused | None) -> None:
+        """Compare with functions of the filter. fused: what the recursion made of an update."""
+        algebra = self.algebra
+        before = algebra.before if algebra.known else None
+        spread = None if fused is None else fused.spread
+        self.functions.take(event, before, spread, algebra.replay)
+
+    def _judge_functions(self) -> None:
+        """Name what is not as the filter's functions say: the innovations follow from it."""
+        for difference in self.functions.differences():
+            finding = AuditFinding(
+                "derivatives",
+                difference.fault,
+                difference.what,
+                difference.event,
+                sensor=difference.sensor,
+                blocks=difference.blocks,
+            )
+            self.algebra.add(finding, difference.what)
+            self.as_functions &= not difference.fault
 
     def _judge_use(self, event: Event, fused: Fused | None) -> None:
         """Name what an update contradicts. fused: what the recursion made of it."""
@@ -401,7 +435,7 @@ class _Pass:
             What explains the innovations, and the kinds of what is off that it explains as well.
         """
         algebra = self.algebra
-        if not (algebra.sound and algebra.known and algebra.optimal):
+        if not (algebra.sound and algebra.known and algebra.optimal and self.as_functions):
             return None, set()
         off = {kind for kind, those in of_estimate.items() if those}
         is_off = any(each.fault for those in departing for each in those)

@@ -20,6 +20,7 @@ from comparisons.trace.events import (
     Blocks,
     Clone,
     Directions,
+    Evaluation,
     Event,
     Predict,
     Remove,
@@ -174,7 +175,7 @@ class Replay:
                 self.remove(event.blocks)
             case Reset():
                 self.predict(event.blocks, event.jacobian, None)
-            case Snapshot() | Directions() | TracePrior():
+            case Snapshot() | Directions() | Evaluation() | TracePrior():
                 pass
         return None
 

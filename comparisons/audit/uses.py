@@ -17,7 +17,7 @@ from comparisons.audit.replay import BlockLayout, Fused
 from comparisons.innovations import NO_SENSOR, InnovationLog
 from comparisons.rounding import SAME_NUMBER
 from comparisons.statistics import chi2_quantile
-from comparisons.trace.events import Directions, Event, SensorDescription, Snapshot, Update
+from comparisons.trace.events import TELLING, Event, SensorDescription, Update
 
 _SMALL = 1e-9
 """Sigmas of a residual that tells nothing, as of data without noise."""
@@ -66,7 +66,7 @@ class MeasurementUse:
             layout: Of the state.
             sound: The recursion is what the filter holds, so that its S is the filter's.
         """
-        if isinstance(event, Snapshot | Directions):
+        if isinstance(event, TELLING):
             return
         if not isinstance(event, Update) or event.time_s != self._time_s:
             self._instant, self._fresh, self._time_s = [], True, event.time_s

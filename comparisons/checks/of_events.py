@@ -11,6 +11,7 @@ from pathlib import Path
 
 from comparisons.audit.audit import AlgebraGap, Audit, Progress
 from comparisons.audit.audit import audit as go_through
+from comparisons.audit.functions import FunctionFigures
 from comparisons.audit.least_squares import LARGEST_ANCHORED
 from comparisons.audit.spurious import LearntDirection
 from comparisons.checks.check import Question
@@ -132,6 +133,32 @@ class CheckGains(EventCheck):
         if unlike:
             whose = "none of them Kalman's" if unlike == count else f"{unlike:,} not Kalman's"
         return EventFinding(audit, (), ("gains", f"{audit.gains_compared:,} compared, {whose}"))
+
+
+class CheckDerivatives(EventCheck):
+    """Are F, H and the Jacobians of new blocks the derivatives of the filter's own functions?"""
+
+    name = "derivatives"
+    needs = "functions of predictions, updates or new blocks, recorded with their points"
+    errs = "not at all but by rounding, for which --tolerance allows"
+    figures = (("functions", FunctionFigures),)
+
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
+        """Return how many matrices were compared, and how far they are from derivatives."""
+        audit = known.audit
+        if not audit.functions:
+            return Absent("no function is recorded")
+        rows = [
+            Row("Derivatives", f"{slot.slot}: largest effect of a difference [sigma]",
+                f"{slot.largest_sigma:.2g}", f"at most {audit.tolerance:.0e}",
+                slot.differing == 0)
+            for slot in audit.functions
+        ]  # fmt: skip
+        equal = [
+            f"{slot.slot} in {slot.events - slot.differing:,} of {slot.events:,}"
+            for slot in audit.functions
+        ]
+        return EventFinding(audit, rows, ("derivatives", f"equal: {', '.join(equal)}"))
 
 
 class CheckInnovations(EventCheck):
@@ -275,6 +302,7 @@ def _sensor_rows(sensor: SensorInnovations) -> list[Row]:
 EVENT_CHECKS: tuple[EventCheck, ...] = (
     CheckSnapshots(),
     CheckGains(),
+    CheckDerivatives(),
     CheckInnovations(),
     CheckAgainstSmoother(),
     CheckErrors(),

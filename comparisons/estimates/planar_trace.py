@@ -220,7 +220,7 @@ class _PlanarEvents:
                 self._clone(event)
             case events.Remove():
                 self._remove(event)
-            case events.Snapshot() | events.Directions():
+            case events.Snapshot() | events.Directions() | events.Evaluation():
                 pass
             case _:
                 kind = type(event).__name__.lower()

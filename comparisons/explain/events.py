@@ -33,8 +33,8 @@ from comparisons.faults.recursion import Remembering
 from comparisons.faults.substitutions import Substitution, continued
 from comparisons.rounding import SINGULAR
 from comparisons.trace.events import (
+    TELLING,
     Blocks,
-    Directions,
     Event,
     Predict,
     Reset,
@@ -116,7 +116,7 @@ def localise(
         least: (n,) variances that are rounding.
         most_replayed: Events that are replayed in search of the cause.
     """
-    changing = [e for e in events if not isinstance(e, Snapshot | Directions | TracePrior)]
+    changing = [e for e in events if not isinstance(e, (TracePrior, *TELLING))]
     plain = start.copy()
     for event in changing:
         plain.apply(event)

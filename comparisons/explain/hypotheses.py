@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.arrays import Array, Index
+from comparisons.arrays import Array, Index, wrapped
 from comparisons.faults.grammar import Text, times
-from ekf_reference.core.geometry import wrap_angle
 
 EQUAL = 1e-7
 """Figures that differ by less, relative to their size, are the same."""
@@ -72,7 +71,7 @@ class Quantity:
         """Return (R, n) how far records are from these, in units of the tolerance."""
         difference = self.have[rows] - expected
         if np.any(self.angle):
-            difference = np.where(self.angle, wrap_angle(difference), difference)
+            difference = np.where(self.angle, wrapped(difference), difference)
         return (difference / self.limit(rows)).reshape(len(rows), -1)
 
     def limit(self, rows: Index) -> Array:

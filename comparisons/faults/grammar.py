@@ -264,6 +264,28 @@ def single_changes(slot: Slot, like: Values) -> Iterator[Composition]:
             yield from _by_factor(slot, part, factor)
 
 
+def transposed_parts(slot: Slot) -> Iterator[Composition]:
+    """Yield the faults of a slot that are a square part of it, transposed in its place."""
+    for part in parts(slot):
+        rows, columns = (np.flatnonzero(part.mask.any(axis=axis)) for axis in (1, 0))
+        block = np.ix_(rows, columns)
+        if 1 < len(rows) == len(columns) < max(slot.shape) and part.mask[block].all():
+            yield Composition(
+                slot, "transposed", f"{part.words} is transposed", _part_transposed(rows, columns),
+                mask=part.mask,
+            )  # fmt: skip
+
+
+def _part_transposed(rows: Index, columns: Index) -> Callable[[Values], Array]:
+    def changed(values: Values) -> Array:
+        moved = values.sound.copy()
+        block = np.ix_(np.arange(len(moved)), rows, columns)
+        moved[block] = moved[block].mT
+        return moved
+
+    return changed
+
+
 def numbered_changes(slot: Slot) -> Iterator[Composition]:
     """Yield the faults of a slot that have a number."""
     for part in parts(slot):

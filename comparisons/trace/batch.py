@@ -29,6 +29,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "reset": ("jacobian",),
     "snapshot": ("covariance", "mean", "error"),
     "directions": ("jacobian",),
+    "evaluation": ("jacobian", "value", "uncertainty", "measured"),
 }
 """The matrices of an event of each kind, in their order in the table; the rest of it is -1."""
 KINDS = tuple(COLUMNS)

@@ -18,10 +18,14 @@ from comparisons.arrays import Array
 
 Blocks = tuple[str, ...]
 ADDITIVE = "additive"
-CHARTS = (ADDITIVE, "se2", "so3 left", "so3 right", "se23 left", "se23 right")
-"""How a block's error stands to its numbers. additive: numbers and error are added. se2: x, y and
-heading, added too, but the heading goes round. so3, se23: an attitude, or attitude, velocity and
-position, with the error on the world's side (left) or the body's (right)."""
+OWN_CHART = "own"
+CHARTS = (
+    *(ADDITIVE, "angle", "se2", "so3 left", "so3 right", "se23 left", "se23 right", OWN_CHART),
+)
+"""How a block's error stands to its numbers. additive: numbers and error are added. angle, se2: an
+angle, or x, y and heading, added too, but the angle goes round. so3, se23: an attitude, or
+attitude, velocity and position, with the error on the world's side (left) or the body's (right).
+own: as the filter's own functions say."""
 
 
 class TracePrior(NamedTuple):
@@ -152,7 +156,40 @@ class Directions(NamedTuple):
     blind: tuple[str, ...]
 
 
-Event = TracePrior | Predict | Update | Augment | Clone | Remove | Reset | Snapshot | Directions
+class Evaluation(NamedTuple):
+    """What a function of the filter says at the point of the event before, of the same blocks.
+
+    The function leads from the blocks' numbers to those after a prediction, to what is measured, or
+    to the numbers of a new block. value: (k,) what it gives. jacobian: (m, n) derivative of the
+    outcome's error by the blocks' errors, in their charts. uncertainty: (m, n) what that may be off
+    by. measured: (k,) of an update what was measured, if recorded.
+    """
+
+    number: int
+    time_s: float | None
+    blocks: Blocks
+    jacobian: Array
+    value: Array
+    uncertainty: Array
+    measured: Array | None
+
+
+Event = (
+    TracePrior
+    | Predict
+    | Update
+    | Augment
+    | Clone
+    | Remove
+    | Reset
+    | Snapshot
+    | Directions
+    | Evaluation
+)
+
+
+TELLING = (Snapshot, Directions, Evaluation)
+"""Events that tell of the filter, and change nothing of it."""
 
 
 class SensorDescription(NamedTuple):

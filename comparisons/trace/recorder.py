@@ -18,12 +18,16 @@ from numpy.typing import ArrayLike
 from comparisons.arrays import Array
 from comparisons.errors import InputError, quoted, shorten
 from comparisons.trace.batch import COLUMNS, KINDS, MOST_COLUMNS, ROW, pack
+from comparisons.trace.charts import Chart, JointChart
+from comparisons.trace.derivatives import Evaluated
 from comparisons.trace.events import (
     ADDITIVE,
     CHARTS,
+    OWN_CHART,
     Augment,
     Clone,
     Directions,
+    Evaluation,
     Event,
     Predict,
     Remove,
@@ -32,6 +36,7 @@ from comparisons.trace.events import (
     TracePrior,
     Update,
 )
+from comparisons.trace.functions import Function, FunctionSampler, Outcome
 from comparisons.trace.reader import APPLICATION, TABLES, VERSION, last_state
 from comparisons.trace.rows import MOST_ENTRIES
 
@@ -40,7 +45,13 @@ COMMIT_EVENTS, COMMIT_BYTES = 2000, 1 << 24
 """A recording that is killed, or whose computer fails, is valid up to its last commit."""
 _DTYPE = np.dtype("<f8")
 _NONE = [(-1,) * (MOST_COLUMNS - count) for count in range(MOST_COLUMNS + 1)]
-PRIOR, PREDICT, UPDATE, AUGMENT, CLONE, REMOVE, RESET, SNAPSHOT, DIRECTIONS = range(len(KINDS))
+PRIOR, PREDICT, UPDATE, AUGMENT, CLONE, REMOVE, RESET, SNAPSHOT, DIRECTIONS, EVALUATION = range(
+    len(KINDS)
+)
+
+_OF_MEASUREMENT = "correction", "gain", "point", "numbers", "weight"
+_OF_AUGMENTATION = "point", "after", "numbers", "weight", "chart"
+"""What events say beside what the filter used."""
 
 Blob = bytes | None
 
@@ -58,6 +69,8 @@ class MeasurementNotes(TypedDict, total=False):
     point: ArrayLike
     numbers: ArrayLike
     weight: ArrayLike
+    function: Function
+    measured: ArrayLike
 
 
 class AugmentationNotes(TypedDict, total=False):
@@ -65,9 +78,11 @@ class AugmentationNotes(TypedDict, total=False):
 
     point: the blocks' numbers about which it was linearised. after: its own numbers. numbers: of
     what was measured, in the log. weight: as of `MeasurementNotes`; 0 where no measurement
-    tells it, but a prior. chart: of its error, one of events.CHARTS.
+    tells it, but a prior. chart: of its error, one of events.CHARTS. function: g, of the blocks'
+    numbers to those of the new block.
     """
 
+    function: Function
     point: ArrayLike
     after: ArrayLike
     numbers: ArrayLike
@@ -101,6 +116,8 @@ class Recorder:
         components: Mapping[str, Sequence[str]] | None = None,
         append: bool = False,
         synced: bool = True,
+        derivatives: float = 0.05,
+        quaternions: str | None = None,
     ) -> None:
         """Start a file.
 
@@ -111,10 +128,14 @@ class Recorder:
             append: Go on with an existing trace.
             synced: Wait at each commit until it is on the disk, so that a power failure leaves what
                 was committed. Without it a kill still does, but a power failure may damage all.
+            derivatives: Share of the events with a function that are differentiated, beyond the
+                first hundred of each kind.
+            quaternions: Order of the four numbers of an attitude, `wxyz` or `xyzw`; None where
+                attitudes have the nine of their matrix, row by row. Functions need it alone.
 
         Raises:
             InputError: The file exists already, or cannot be written; or append is set, and there
-                is none that is a trace; or a gate is no probability.
+                is none that is a trace; or a gate is no probability, or derivatives no share.
         """
         self._path = Path(path)
         self._dims: dict[str, int] = {}
@@ -130,6 +151,10 @@ class Recorder:
         self._sizes: dict[tuple[str, ...] | None, tuple[int, int]] = {}
         self._ended: str | None = None
         self._process = os.getpid()
+        try:
+            self._functions = FunctionSampler(derivatives, quaternions)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from None
         sensors = self._described(gates or {}, components or {})
         if append:
             self._follow()
@@ -215,7 +240,7 @@ class Recorder:
         covariance: ArrayLike,
         *,
         point: ArrayLike | None = None,
-        charts: Mapping[str, str] | None = None,
+        charts: Mapping[str, str | Chart] | None = None,
     ) -> None:
         """Record the first covariance.
 
@@ -223,7 +248,8 @@ class Recorder:
             blocks: Names and dimensions of all blocks, in the state's order.
             covariance: (n, n).
             point: The estimate, in the filter's own numbers.
-            charts: Of blocks whose error is not added to their numbers, one of events.CHARTS.
+            charts: Of blocks whose error is not added to their numbers, one of events.CHARTS, or
+                the filter's own `Chart`.
         """
         self._check_open()
         if self._dims:
@@ -234,11 +260,12 @@ class Recorder:
             self._refuse(f"the state has {n} entries, expected 1 to {MOST_ENTRIES}")
         p = self._blob("P", covariance, (n, n))
         begun = self._own("point", point)
-        named = {name: self._chart((charts or {}).get(name, ADDITIVE)) for name in dims}
+        named = {name: self._chart_of_block(name, (charts or {}).get(name)) for name in dims}
         if strange := set(charts or ()) - set(dims):
             self._refuse(f"charts name {quoted(min(strange))}, which is no block")
         note = self._text(json.dumps([list(dims.values()), list(named.values())]))
         self._dims, self._charts = dims, named
+        self._functions.begin(dims, np.frombuffer(p, _DTYPE).reshape(n, n))
         self._sizes.clear()
         self._put(PRIOR, self._text(json.dumps(list(dims))), (p, begun), note)
 
@@ -248,6 +275,7 @@ class Recorder:
         Q: ArrayLike,
         blocks: Iterable[str] | None = None,
         *,
+        function: Function | None = None,
         point: ArrayLike | None = None,
         after: ArrayLike | None = None,
     ) -> None:
@@ -257,13 +285,21 @@ class Recorder:
             F: (n, n) on the blocks.
             Q: (n, n).
             blocks: Those that the prediction moves.
-            point: Their numbers before it, if the trace is to be compared with a log.
+            function: f, of their numbers before it to those after it, as the filter has it for
+                this step: its derivative is what F should be. It needs point.
+            point: Their numbers before it, if the trace is to be compared with a log, or with f.
             after: Their numbers after it.
         """
         text, n = self._size(blocks)
         shape = n, n
         f, q = self._blob("F", F, shape), self._blob("Q", Q, shape)
-        if point is None and after is None:
+        if function is not None:
+            points = self._own("point", point), self._own("after", after)
+            evaluated = self._evaluated("F", blocks, function, point)
+            self._put(PREDICT, text, (f, q, *points))
+            if evaluated is not None:
+                self._put_evaluation(evaluated, blocks)
+        elif point is None and after is None:
             self._put(PREDICT, text, (f, q))
         else:
             self._put(PREDICT, text, (f, q, self._own("point", point), self._own("after", after)))
@@ -326,19 +362,27 @@ class Recorder:
         z = self._vector("residual", residual, m)
         h, r = self._blob("H", by[0], (m, n)), self._blob("R", by[1], (m, m))
         blobs: tuple[Blob, ...] = z, h, r
+        evaluated, truth = None, None
         if more:
             blobs += self._more(UPDATE, more, m)
+            if "measured" in more:
+                truth = self._vector("measured", more["measured"], m)
+            if "function" in more:
+                slot, point = f"H of {sensor}", more.get("point")
+                evaluated = self._evaluated(slot, blocks, more["function"], point, m)
         name = self._sensors.get(sensor)
         if name is None:
             name = self._sensors[sensor] = self._text(json.dumps(_name(sensor)))
         self._updates += 1
         self._put(UPDATE, text, blobs, name, used)
+        if evaluated is not None:
+            self._put_evaluation(evaluated, blocks, truth)
 
     def _more(self, kind: int, more: Mapping[str, Any], m: int = 0) -> tuple[Blob, ...]:
         """Return the further matrices of an event of a kind. m: entries of its residual."""
         found: dict[str, Blob] = {}
         for name, value in more.items():
-            if value is None or name == "chart":
+            if value is None or name in ("chart", "function", "measured"):
                 continue
             if name == "correction":
                 found[name] = self._vector(name, value, self._size(None)[1])
@@ -379,10 +423,15 @@ class Recorder:
         d, m = by_noise.shape
         self._check_new(name, d)
         g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", R, (m, m))
-        chart = self._chart(more.get("chart", ADDITIVE))
+        chart, evaluated = self._chart(more.get("chart", ADDITIVE)), None
         blobs = g_x, r, by_noise.tobytes(), *self._more(AUGMENT, more)
+        if (function := more.get("function")) is not None:
+            new = (name, d, chart)
+            evaluated = self._evaluated("G_x", blocks, function, more.get("point"), new)
         self._add(name, d, chart)
         self._put(AUGMENT, text, blobs, self._text(json.dumps([name, d, chart])))
+        if evaluated is not None:
+            self._put_evaluation(evaluated, blocks)
 
     def clone(self, source: str, name: str) -> None:
         """Record a copy of a block, behind all others.
@@ -485,6 +534,49 @@ class Recorder:
         note = self._text(json.dumps({"names": names[0], "blind": names[1]}))
         self._put(DIRECTIONS, text, (np.column_stack(columns).tobytes(),), note)
 
+    def _evaluated(
+        self,
+        slot: str,
+        blocks: Iterable[str] | None,
+        function: Function,
+        point: ArrayLike | None,
+        outcome: int | tuple[str, int, str] | None = None,
+    ) -> Evaluated | None:
+        """Return what a function says where the filter was, if this event is to be evaluated.
+
+        outcome: how many numbers are measured, or name, dimension and chart of the new block; None
+        of a prediction, which leads to the same blocks.
+        """
+        if point is None:
+            self._refuse(f"has a function for {slot}, and no point at which it is evaluated")
+        names = tuple(self._dims) if blocks is None else tuple(blocks)
+        dims = [self._dims[name] for name in names]
+        sampler = self._functions
+        if not sampler.is_due(slot, dims):
+            return None
+        try:
+            before = sampler.joint(names, dims, [self._charts[name] for name in names])
+            after: JointChart | None = before
+            if isinstance(outcome, int):
+                after = None
+            elif outcome is not None:
+                name, dim, chart = outcome
+                after = sampler.joint((name,), (dim,), (chart,))
+            evaluated = sampler.evaluate(function, point, before, Outcome(slot, after), names)
+            if isinstance(outcome, int) and len(evaluated.value) != outcome:
+                raise ValueError(f"gives {len(evaluated.value)} numbers, expected {outcome}")
+        except Exception as error:
+            sampler.warn(slot, f"{self._path}, event {self._number}", error)
+            return None
+        return evaluated
+
+    def _put_evaluation(
+        self, evaluated: Evaluated, blocks: Iterable[str] | None, measured: Blob = None
+    ) -> None:
+        text, _ = self._size(blocks)
+        parts = evaluated.jacobian, evaluated.value, evaluated.uncertainty
+        self._put(EVALUATION, text, (*(part.tobytes() for part in parts), measured))
+
     def event(self, event: Event) -> None:
         """Record an event as it was read, or as another filter did it, at its own time.
 
@@ -501,10 +593,10 @@ class Recorder:
             case Predict(blocks=blocks, jacobian=f, noise=q):
                 self.predict(f, q, blocks, point=event.point, after=event.after)
             case Update(sensor=sensor, residual=residual, jacobian=h, noise=r):
-                notes = _noted(event, MeasurementNotes.__annotations__)
+                notes = _noted(event, _OF_MEASUREMENT)
                 self._measured(int(event.used), sensor, residual, (h, r), event.blocks, notes)
             case Augment(jacobian=g_x, noise_jacobian=g_z, noise=r):
-                notes = _noted(event, AugmentationNotes.__annotations__)
+                notes = _noted(event, _OF_AUGMENTATION)
                 self.augment(event.name, g_x, g_z, r, event.blocks, **notes)
             case Clone():
                 self.clone(event.source, event.name)
@@ -514,6 +606,9 @@ class Recorder:
                 self.reset(event.jacobian, event.blocks)
             case Snapshot(covariance=p, mean=mean, error=error):
                 self.snapshot(p, event.blocks, mean=mean, error=error)
+            case Evaluation(jacobian=jacobian, value=value, uncertainty=uncertainty):
+                evaluated = Evaluated(value, jacobian, uncertainty)
+                self._put_evaluation(evaluated, event.blocks, self._own("measured", event.measured))
             case Directions():
                 basis = dict(zip(event.names, event.basis.T, strict=True))
                 self.directions(basis, event.blind, blocks=event.blocks)
@@ -574,6 +669,13 @@ class Recorder:
         self._dims[name], self._charts[name] = dim, chart
         self._sizes.clear()
 
+    def _chart_of_block(self, name: str, chart: str | Chart | None) -> str:
+        """Return the name of a block's chart."""
+        if isinstance(chart, Chart):
+            self._functions.define(name, chart)
+            return OWN_CHART
+        return self._chart(ADDITIVE if chart is None else chart)
+
     def _chart(self, chart: str) -> str:
         if chart not in CHARTS:
             self._refuse(f"chart {quoted(chart)}, expected one of {', '.join(CHARTS)}")
@@ -629,8 +731,13 @@ class Recorder:
             found = found.astype(_DTYPE)
         return found
 
+    @property
+    def _number(self) -> int:
+        """Of the next event."""
+        return self._first + len(self._rows)
+
     def _refuse(self, fault: str) -> NoReturn:
-        raise InputError(f"{self._path}, event {self._first + len(self._rows)}: {fault}")
+        raise InputError(f"{self._path}, event {self._number}: {fault}")
 
     def _check_open(self) -> None:
         if self._ended is not None:

@@ -21,6 +21,7 @@ from comparisons.trace.events import (
     Blocks,
     Clone,
     Directions,
+    Evaluation,
     Event,
     Predict,
     Remove,
@@ -106,6 +107,7 @@ class EventReader:
         self.unsound: dict[int, str] = {}
         self.singular: dict[int, str] = {}
         self._path = path
+        self._last: Event | None = None
         self._dims: dict[str, int] = {}
         self._charts: dict[str, str] = {}
         self._size = 0
@@ -151,7 +153,7 @@ class EventReader:
             self._refuse(number, f"time_s {quoted(time_s)}, expected a number of seconds")
         if not self._dims and kind != "prior":
             self._refuse(number, f"is a {kind}, expected the prior first")
-        event = self._make[kind](row)
+        event = self._last = self._make[kind](row)
         self.at = number
         return event
 
@@ -256,6 +258,23 @@ class EventReader:
             self._refuse(row.number, "text is not {names: [...], blind: [...]}, both not empty")
         basis = self._shaped(row, 0, n, len(names))
         return Directions(row.number, row.time_s, row.blocks or (), basis, names, blind)
+
+    def _evaluation(self, row: StoredRow) -> Evaluation:
+        last, n = self._last, self._on(row)
+        if not isinstance(last, Predict | Update | Augment) or row.blocks != last.blocks:
+            expected = "expected a prediction, an update or a new block of the same blocks before"
+            self._refuse(row.number, f"is an evaluation, {expected} it")
+        m = len(last.jacobian)
+        jacobian, uncertainty = self._shaped(row, 0, m, n), self._shaped(row, 2, m, n)
+        value, measured = self._flat(row, 1), self._own(row, 3)
+        if isinstance(last, Update) and len(value) != m:
+            self._refuse(row.number, f"value has {len(value)} numbers, expected {m}")
+        if measured is not None and len(measured) != len(value):
+            fault = f"measured has {len(measured)} numbers, expected {len(value)}"
+            self._refuse(row.number, fault)
+        return Evaluation(
+            row.number, row.time_s, last.blocks, jacobian, value, uncertainty, measured
+        )
 
     def _on(self, row: StoredRow) -> int:
         """How many entries the blocks of an event have together."""

@@ -15,7 +15,8 @@ from __future__ import annotations
 import atexit
 import inspect
 from collections.abc import Callable, Mapping
-from functools import wraps
+from copy import copy
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,17 +24,23 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.trace.recorder import Recorder
+from comparisons.trace.functions import Function
+from comparisons.trace.recorder import MeasurementNotes, Recorder
 
 _MEASUREMENT = "measurement"
 
 
 class FilterStep(NamedTuple):
-    """What a prediction used, or an update (H and R), and the sensor's name."""
+    """What a prediction used, or an update (H and R), and the sensor's name.
+
+    function: f, of the state's numbers, or h; None where the filter has none. measured: of h.
+    """
 
     jacobian: Any
     noise: Any
     sensor: str = _MEASUREMENT
+    function: Function | None = None
+    measured: Any = None
 
 
 def record(
@@ -52,6 +59,8 @@ def record(
         filter: Of filterpy or bayesian-filters; Stone Soup's (predictor, updater), of one track; or
             of one's own, with x, P, predict and update, and as methods F and Q, which are given
             what predict is, and H, R and residual, which are given what update is, each before it.
+            With f and h, given numbers of the state and the same, F and H are compared with their
+            derivatives.
         path: Of the trace, a new file.
         blocks: Names and dimensions of the state's parts; by default one, `state`.
         sensor: Name of what is measured; by default that of the measurement function, if one is
@@ -117,8 +126,15 @@ class _Extended(_Linear):
         more, jacobian = given.get("args", ()), given["HJacobian"]
         h = jacobian(self.filter.x, *(more if isinstance(more, tuple) else (more,)))
         r = _first(given.get("R"), self.filter.R)
-        name = getattr(given["Hx"], "__name__", _MEASUREMENT)
-        return lambda: FilterStep(h, _square(r, np.size(self.filter.y)), name)
+        expected, shape = given["Hx"], np.shape(self.filter.x)
+        arguments = given.get("hx_args", ())
+        arguments = arguments if isinstance(arguments, tuple) else (arguments,)
+        name = getattr(expected, "__name__", _MEASUREMENT)
+
+        def function(x: Array) -> Array:
+            return np.ravel(expected(x.reshape(shape), *arguments))
+
+        return lambda: FilterStep(h, _square(r, np.size(self.filter.y)), name, function, given["z"])
 
 
 class _Unscented(_Linear):
@@ -163,18 +179,29 @@ class _Unscented(_Linear):
 
 
 class _Own(_Linear):
-    """A class of one's own: F, Q, H, R and residual are methods, given what the calls are."""
+    """A class of one's own: F, Q, H, R and residual are methods, given what the calls are.
+
+    So are f and h, where it has them, behind the state's numbers.
+    """
 
     def predicts(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Ask for the matrices before the prediction."""
-        step = FilterStep(self.filter.F(**given), self.filter.Q(**given))
+        function = self._function("f", given)
+        step = FilterStep(self.filter.F(**given), self.filter.Q(**given), function=function)
         return lambda: step
 
     def updates(self, given: Mapping[str, Any]) -> Callable[[], FilterStep]:
         """Ask for the matrices and the residual before the update."""
         f = self.filter
-        step, self.last = FilterStep(f.H(**given), f.R(**given)), f.residual(**given)
+        function, measured = self._function("h", given), given.get("z")
+        step = FilterStep(f.H(**given), f.R(**given), function=function, measured=measured)
+        self.last = f.residual(**given)
         return lambda: step
+
+    def _function(self, name: str, given: Mapping[str, Any]) -> Function | None:
+        """Return f or h as it is for a call."""
+        function = getattr(self.filter, name, None)
+        return partial(function, **given) if callable(function) else None
 
     def residual(self) -> Any:
         """Return the last update's."""
@@ -245,19 +272,20 @@ class _Wrapped:
     def _predict(self, given: Mapping[str, Any], inner: Callable[[], Any]) -> Any:
         before, step = np.array(self.filter.x), self.using.predicts(given)
         found = inner()
-        f, q, _ = step()
-        self.recorder.predict(f, q, point=before, after=self.filter.x)
+        f, q, _, function, _ = step()
+        points = {"point": before, "after": self.filter.x}
+        self.recorder.predict(f, q, function=function, **points)
         self.recorder.snapshot(self.filter.P, mean=self.filter.x)
         return found
 
     def _update(self, given: Mapping[str, Any], inner: Callable[[], Any]) -> Any:
         before, step = np.array(self.filter.x), self.using.updates(given)
         found = inner()
-        h, r, name = step()
+        h, r, name, function, measured = step()
         done = self.using.difference(np.asarray(self.filter.x), before)
-        self.recorder.update(
-            self.sensor or name, self.using.residual(), h, r, correction=done, point=before
-        )
+        notes: MeasurementNotes = {"correction": done, "point": before}
+        notes |= _with_function(function, measured)
+        self.recorder.update(self.sensor or name, self.using.residual(), h, r, **notes)
         self.recorder.snapshot(self.filter.P, mean=self.filter.x)
         return found
 
@@ -294,13 +322,17 @@ class _StoneSoup:
         measured, seen = hypothesis.measurement, hypothesis.prediction
         model = _first(measured.measurement_model, self.updater.measurement_model)
         h = model.jacobian(seen) if hasattr(model, "jacobian") else model.matrix()
+        notes: MeasurementNotes = {
+            "correction": _numbers(found.state_vector - seen.state_vector),
+            "point": _numbers(seen.state_vector),
+        }
+        notes |= _with_function(_at_state(model, seen), _numbers(measured.state_vector))
         self.recorder.update(
             self.sensor or type(model).__name__,
             _numbers(measured.state_vector - hypothesis.measurement_prediction.state_vector),
             _numbers(h),
             _numbers(model.covar()),
-            correction=_numbers(found.state_vector - seen.state_vector),
-            point=_numbers(seen.state_vector),
+            **notes,
         )
         self._snapshot(found)
         return found
@@ -332,12 +364,36 @@ class _StoneSoup:
             f = model.matrix(time_interval=over)
         points = _numbers(before.state_vector), _numbers(after.state_vector)
         q = _numbers(model.covar(time_interval=over))
-        self.recorder.predict(_numbers(f), q, point=points[0], after=points[1])
+        function = _at_state(model, before, time_interval=over)
+        self.recorder.predict(_numbers(f), q, function=function, point=points[0], after=points[1])
         self._snapshot(after)
 
     def _snapshot(self, state: Any) -> None:
         self.recorder.snapshot(_numbers(state.covar), mean=_numbers(state.state_vector))
         self.last = state
+
+
+def _at_state(model: Any, state: Any, **more: Any) -> Function | None:
+    """Return a model's function of numbers, in place of those of a state; without noise."""
+    if not callable(getattr(model, "function", None)):
+        return None
+
+    def function(numbers: Array) -> Array:
+        other = copy(state)
+        other.state_vector = type(state.state_vector)(numbers)
+        return _numbers(model.function(other, noise=False, **more)).ravel()
+
+    return function
+
+
+def _with_function(function: Function | None, measured: Any) -> MeasurementNotes:
+    """Return what is said of a measurement's function; nothing without one."""
+    if function is None:
+        return {}
+    notes: MeasurementNotes = {"function": function}
+    if measured is not None:
+        notes["measured"] = measured
+    return notes
 
 
 def _regression(p: Array, cross: Array, covariance: Array) -> tuple[Array, Array]:
