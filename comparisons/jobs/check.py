@@ -73,7 +73,8 @@ def check(
         result = _with_departure(grader, explained(grader, result, READINGS) or result)
     instants_s = result.solution.prepared.timeline.instants_s()
     digits = rounded(given.time_s, on_file_clock(given.time_s, log, instants_s))
-    return _qualified(replace(remarked(result, aligned, digits), log=log))
+    answers = replace(result.answers, before=replace(result.answers.before, source=log))
+    return _qualified(replace(remarked(result, aligned, digits), answers=answers))
 
 
 def _aligned(grader: Grader, given: ExternalEstimate) -> tuple[ExternalEstimate, str]:

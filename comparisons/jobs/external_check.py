@@ -17,7 +17,6 @@ from comparisons.checks.verdict import Outcome
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.reference import Reference
 from comparisons.jobs.external_trace import TraceCheck
-from comparisons.logs.log import Log
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.solve import Solution
 from comparisons.shown import Shown, render
@@ -46,7 +45,6 @@ class ExternalCheck(Shown):
             filter with this fault equals the estimate.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
-        log: As it was read, where the solution's has other integration or times.
         reproduced: A filter with the fault that is the first cause equals all of it, so that its
             other figures follow from that.
         grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
@@ -77,7 +75,6 @@ class ExternalCheck(Shown):
     inconsistent: tuple[str, ...] | None = None
     departure: Departure | None = None
     consequences: tuple[str, ...] = ()
-    log: Log | None = None
     reproduced: bool = False
 
     def __repr__(self) -> str:

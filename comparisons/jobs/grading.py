@@ -44,7 +44,8 @@ from comparisons.checks.grade import (
     nearer,
     outcome_of,
 )
-from comparisons.checks.registry import CHECKS
+from comparisons.checks.registry import BASIS, CHECKS
+from comparisons.checks.smoother import AboutSmoother
 from comparisons.checks.verdict import Outcome
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
@@ -212,7 +213,7 @@ def check_external(
         outcome="disagree",
         causes=causes,
         remarks=(),
-        answers=Answers(_known(solution, traced, judged), CHECKS),
+        answers=Answers(_known(solution, traced, judged), (*BASIS, AboutSmoother(), *CHECKS)),
     )
     return _with_outcome(check, unlike)
 

@@ -20,8 +20,9 @@ from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.finding import Finding
+from comparisons.checks.gaps import GapsFinding
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
-from comparisons.checks.registry import CHECKS, EXPLAINING
+from comparisons.checks.registry import BASIS, CHECKS, EXPLAINING, OF_RUN
 from comparisons.checks.spurious import SpuriousFinding
 from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Verdict, judge
@@ -126,7 +127,7 @@ class Comparison(Shown):
     @property
     def agreement(self) -> Agreement:
         """The gaps between the estimates."""
-        return self.gaps.agreement
+        return self.find(GapsFinding).value
 
     @property
     def findings(self) -> Mapping[str, Finding]:
@@ -238,7 +239,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             except InputError as error:
                 unchecked = f"the association is unchecked: {error}"
     progress("checks", 0, 0)
-    known = Answers(own, (*CHECKS, *EXPLAINING)).known
+    known = Answers(own, (*BASIS, *OF_RUN, *CHECKS, *EXPLAINING)).known
     with clock.stage("checks"):
         return _judged(known, unchecked)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,9 @@ from comparisons.checks.agreement import (
 from comparisons.checks.causes import FILTER_FAULTS, SYMPTOMS
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
+from comparisons.checks.gaps import agreeing, block_rows, pose_words
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
+from comparisons.checks.smoother import SmootherFigures
 from comparisons.figures import (
     METRES,
     Count,
@@ -42,7 +45,6 @@ from comparisons.figures import (
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.external_trace import TraceCheck
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.known import Known
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing
@@ -56,31 +58,14 @@ from comparisons.report.html.map import (
 )
 from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.job import Report
+from comparisons.report.job_report import JobReport, job_entries
 from comparisons.report.ladder import SMOOTHER, LadderStep, gap_steps
 from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import SmootherResult, VerdictResult
+from comparisons.report.models import VerdictResult
 from comparisons.report.panels import external_panels, filters_compared
-from comparisons.report.rows import (
-    agreeing,
-    block_rows,
-    gap_rows,
-    log_rows,
-    pose_words,
-    seconds_rows,
-    smoother_rows,
-)
-from comparisons.report.sections import (
-    about_job,
-    about_log,
-    found_entries,
-    job_page,
-    smoother_result,
-)
-from comparisons.report.settings import (
-    setting_lines,
-    settings_rows,
-)
+from comparisons.report.rows import gap_rows
+from comparisons.report.sections import job_page
+from comparisons.report.settings import setting_lines
 from comparisons.report.terminal import Summary
 from comparisons.words import Row, cause_name
 from ekf_reference.core.landmark_types import POINT
@@ -204,19 +189,6 @@ def _mark(left: Departure, drawing: Drawing) -> None:
     drawing.marks(*look, place, [str(left)], [DEPARTURE], [DEPARTURE_COLOUR])
 
 
-def _check_rows(known: Known, result: CheckResult) -> list[Row]:
-    """Log, smoother and agreement, then what the checks found, and what they lack."""
-    return [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *smoother_rows(result.smoother),
-        *_estimate_rows(result),
-        *_agreement_rows(result),
-        *gap_rows(check_ladder(result) if result.trace else ()),
-        *known.rows,
-    ]
-
-
 def _estimate_rows(result: CheckResult) -> list[Row]:
     grade_in = None if result.verdict == "unverified" else result.verdict == "agree"
     rows = [
@@ -283,7 +255,8 @@ def _verdict_words(result: CheckResult) -> str:
 
 def _facts(result: CheckResult) -> list[tuple[str, str]]:
     """What the grade rests on, in a few lines."""
-    optimum = "verified" if result.smoother.verified else f"not verified: {result.smoother.lacks}"
+    smoother = result.smoother
+    optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
     facts = [
         ("Smoother's optimum", optimum),
         ("Poses", f"{result.poses:,}, {result.rms_m:.3f} m from the smoother's (RMS)"),
@@ -366,7 +339,7 @@ class CheckResult(VerdictResult):
         departure: where the estimate, or its trace, first leaves a sound filter; None where not.
     """
 
-    smoother: Count[SmootherResult]
+    smoother: Count[SmootherFigures]
     association_by: str
     information: Annotated[str, Named("kind of poses (filtered, smoothed)", "{}")]
     estimator: str
@@ -445,7 +418,7 @@ def _reference_steps(result: CheckResult) -> list[LadderStep]:
     ]
 
 
-class CheckReport(Report[ExternalCheck, CheckResult]):
+class CheckReport(JobReport[ExternalCheck, CheckResult]):
     """Report of `slamcheck check`."""
 
     @staticmethod
@@ -453,7 +426,6 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         """The findings, read being the time that reading log and estimate took."""
         agreement, solution = check.agreement, check.solution
         return CheckResult(
-            smoother=smoother_result(solution.result, solution.estimate),
             association_by=solution.association_by,
             information=check.given.information or NOT_STATED,
             estimator=check.given.estimator,
@@ -477,14 +449,19 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             inconsistent=None if check.inconsistent is None else list(check.inconsistent),
             causes=check.causes,
             remarks=list(check.remarks),
-            **found_entries(check.known, CheckResult),
-            **about_job(solution.prepared, solution.prepared.clock.after(read), log=check.log),
+            **job_entries(check.known, CheckResult, read),
         )
 
-    def summary(self) -> Summary:
-        """Return what the command prints: verdict and grade, gaps by the trace, agreement."""
-        result, known = self.result, self.found.known
-        agree = []
+    @property
+    def headline(self) -> str:
+        """The outcome and the grade."""
+        required = f" (required: {self.result.required})"
+        return f"{super().headline}; grade: {_grade_words(self.result)}{required}"
+
+    @property
+    def lines(self) -> Sequence[tuple[str, str]]:
+        """What of the estimate agrees with the smoother."""
+        result, agree = self.result, []
         if result.landmarks:
             count = sum(row.agrees for row in result.landmarks)
             agree.append(f"{count} of {len(result.landmarks)} landmarks")
@@ -492,31 +469,35 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             agree.append(pose_words(result.last_pose))
         if len(agree) < 2:
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
-        required = f" (required: {result.required})"
-        left = result.departure
+        return [("agreement", "; ".join(agree))]
+
+    @property
+    def steps(self) -> Sequence[LadderStep]:
+        """The gaps of the estimate."""
+        return check_ladder(self.result)
+
+    @property
+    def job_rows(self) -> Sequence[Row]:
+        """Rows of the estimate, and of its filter's gaps where it has a trace."""
+        result = self.result
+        steps = self.steps if result.trace else ()
+        return [*_estimate_rows(result), *_agreement_rows(result), *gap_rows(steps)]
+
+    def summary(self) -> Summary:
+        """Return what the command prints; what the first cause explains stands behind it."""
+        result, left = self.result, self.result.departure
         elsewhere = [] if left is None else [str(left), left.briefly]
         departure = elsewhere[:1]
         explained = [cause_name(gap) for gap in self.found.consequences]
         symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
-        return Summary(
-            headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
-            look=result.look,
-            causes=result.causes,
+        return replace(
+            super().summary(),
             explained=[DEPARTURE, *explained] if departure and explained else explained,
             reasons=departure if symptom else [],
             remarks=[
                 remark
                 for remark in result.remarks
                 if not ((symptom or explained) and remark in elsewhere)
-            ],
-            steps=check_ladder(result),
-            lines=[
-                ("agreement", "; ".join(agree)),
-                *known.lines,
-            ],
-            rows=[
-                *_check_rows(known, result),
-                *seconds_rows(result.seconds, result.cpu_s),
             ],
         )
 
@@ -538,9 +519,9 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             words=_verdict_words(result),
             facts=[
                 *_facts(result),
-                *facts_of(check.known.lines, leave="consistency" if off else ""),
+                *facts_of(check.known.lines, leave=["consistency"] if off else ()),
             ],
-            about=f"estimate: {source}; log: {about_log(result.log)}",
+            about=f"estimate: {source}; log: {result.log.words}",
             notes=[f"The estimate is inconsistent: {off}."] if off else (),
             landmarks=rows,
             landmarks_note=note,

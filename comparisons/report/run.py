@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,6 @@ import numpy as np
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.agreement import BlockAgreement
-from comparisons.checks.position_gate import PositionsFinding
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import NAMED
 from comparisons.pipeline.clock import Clock
@@ -28,32 +27,13 @@ from comparisons.report.html.map import (
 )
 from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.job import Report
-from comparisons.report.ladder import ladder
+from comparisons.report.job_report import JobReport, job_entries
+from comparisons.report.ladder import LadderStep, ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import SCHEMA, Result
 from comparisons.report.panels import ConsistencyPanels, consistency_panels, further_estimates
-from comparisons.report.rows import (
-    AGREEING_RATIOS,
-    agreeing,
-    block_rows,
-    ekf_rows,
-    gap_rows,
-    log_rows,
-    pose_words,
-    seconds_rows,
-    smoother_rows,
-)
-from comparisons.report.sections import (
-    about_job,
-    ekf_result,
-    found_entries,
-    job_page,
-    smoother_result,
-)
-from comparisons.report.settings import setting_lines, settings_rows
-from comparisons.report.terminal import Summary
-from comparisons.words import Row
+from comparisons.report.sections import job_page
+from comparisons.report.settings import setting_lines
 from ekf_reference.core.state import correlation_coefficients
 
 if TYPE_CHECKING:
@@ -68,31 +48,23 @@ _WORDS = {
 }
 
 
-class RunReport(Report[Comparison, Result]):
+class RunReport(JobReport[Comparison, Result]):
     """Report of `slamcheck run`: both estimators on one log."""
 
     @staticmethod
     def build(comparison: Comparison, read: Clock | None = None) -> Result:
         """Return the findings of a run, read being the time that reading the log took."""
-        c, fixes = comparison, comparison.known.value(PositionsFinding)
+        verdict = comparison.verdict
         return Result(
             schema_version=SCHEMA,
-            ekf=ekf_result(c.ekf, c.prepared, fixes),
-            smoother=smoother_result(c.smoother, c.smoothed),
-            agreement=replace(
-                c.agreement,
-                algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
-                model_limit_sigma=c.gaps.model_rounding.sigma,
-            ),
-            verdict=c.verdict.outcome,
-            summary=c.verdict.summary,
-            qualifiers=list(c.verdict.qualifiers),
-            inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
-            failed_on=list(c.verdict.failed_on),
-            causes=c.verdict.causes,
-            remarks=list(c.verdict.remarks),
-            **about_job(c.prepared, c.prepared.clock.after(read), c.prepared.ekf),
-            **found_entries(c.known, Result),
+            verdict=verdict.outcome,
+            summary=verdict.summary,
+            qualifiers=list(verdict.qualifiers),
+            inconsistent=None if verdict.inconsistent is None else list(verdict.inconsistent),
+            failed_on=list(verdict.failed_on),
+            causes=verdict.causes,
+            remarks=list(verdict.remarks),
+            **job_entries(comparison.known, Result, read),
         )
 
     @cached_property
@@ -105,30 +77,22 @@ class RunReport(Report[Comparison, Result]):
         """Return the word that decides the command's exit code."""
         return "disagree" if self.result.failed_on else self.result.verdict
 
-    def summary(self) -> Summary:
-        """Return what the command prints."""
+    @property
+    def headline(self) -> str:
+        """The outcome with its figures, and on what the run fails."""
         result = self.result
-        gaps = result.agreement
-        landmarks = [*gaps.landmarks, *gaps.pose_landmarks]
-        agree = sum(row.agrees for row in landmarks)
         failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
-        return Summary(
-            headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
-            look=result.look,
-            causes=result.causes,
-            remarks=result.remarks,
-            steps=ladder(result),
-            lines=[
-                *_known_example(result),
-                (
-                    "agreement",
-                    f"{agree} of {len(landmarks)} landmarks "
-                    f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
-                ),
-                *self.found.known.lines,
-            ],
-            rows=[*run_rows(self.found, result), *seconds_rows(result.seconds, result.cpu_s)],
-        )
+        return f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}"
+
+    @property
+    def lines(self) -> Sequence[tuple[str, str]]:
+        """What is known of the log, where that explains the outcome."""
+        return _known_example(self.result)
+
+    @property
+    def steps(self) -> Sequence[LadderStep]:
+        """The gaps from the EKF down to the truth."""
+        return ladder(self.result)
 
     def page(self, pictures: Sequence[Path] = ()) -> PageContent:
         """Return what stands on the page. pictures: files of those that have been drawn."""
@@ -150,9 +114,9 @@ class RunReport(Report[Comparison, Result]):
             headline=result.headline,
             words=_WORDS[result.verdict],
             facts=[
-                *facts_of(_known_example(result)),
+                *facts_of(self.lines),
                 *_facts(result, [*a, *scan]),
-                *facts_of(c.known.lines, leave="consistency" if inconsistent else ""),
+                *facts_of(c.known.lines, leave={"agreement", *_noted(inconsistent)}),
             ],
             notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
             curves_file="consistency.png" if c.prepared.config.report.figures else "",
@@ -217,25 +181,9 @@ def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Fig
     }
 
 
-def run_rows(comparison: Comparison, result: Result) -> list[Row]:
-    """Return log, evidence and gaps, then what the checks found, and what they lack."""
-    gaps = result.agreement
-    return [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *ekf_rows(result.ekf),
-        *smoother_rows(result.smoother),
-        *gap_rows(ladder(result)),
-        *agreeing(gaps.landmarks, "EKF"),
-        Row(
-            "Map, EKF and smoother",
-            "difference of the landmarks (rms)",
-            f"{gaps.landmark_difference_rms_m:.3f} m",
-        ),
-        *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
-        *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
-        *comparison.known.rows,
-    ]
+def _noted(inconsistent: str) -> Collection[str]:
+    """The line that a note says in full, where there is one."""
+    return ("consistency",) if inconsistent else ()
 
 
 def _known_example(result: Result) -> list[tuple[str, str]]:
@@ -248,13 +196,10 @@ def _known_example(result: Result) -> list[tuple[str, str]]:
 
 def _facts(result: Result, landmarks: Sequence[BlockAgreement]) -> list[tuple[str, str]]:
     """What the verdict rests on, beside the lines of findings. landmarks: that both have."""
-    gaps, smoother = result.agreement, result.smoother
+    gaps = result.agreement
     agreeing = sum(row.agrees for row in landmarks)
-    optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
-    if smoother.dof:
-        optimum += f"; chi-square {smoother.chi2:,.0f} for {smoother.dof:,} degrees of freedom"
     return [
-        ("Smoother's optimum", optimum),
+        ("Smoother's optimum", result.smoother.optimum),
         (
             "Last pose",
             f"{gaps.pose.difference_m:.3f} m apart, {gaps.pose.distance_sigma:.2g} sigma",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.audit.audit import audit
+from comparisons.checks.filter import FilterFinding
 from comparisons.config import CheckConfig, EkfConfig, MapConfig, SmootherConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.extensions.dense_maps.job import map_log
@@ -15,7 +16,6 @@ from comparisons.extensions.dense_maps.report import MapReport
 from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve
-from comparisons.report.sections import ekf_result
 from comparisons.trace.reader import TraceReader
 from ekf_reference.core.landmark_types import POINT
 from research.trust.drives import open_case
@@ -53,7 +53,7 @@ def test_positions_of_a_run() -> None:
     moved = fixes.position_m + 40.0 * far[:, None]
     log = altered(log, "positions.position_m", moved)
     run = compared(log, ekf=choices)
-    result = ekf_result(run.ekf, run.prepared)
+    result = run.find(FilterFinding).value
     assert result.fixes_rejected > 0
     parts = {"fused": result.fixes_fused, "rejected": result.fixes_rejected}
     assert_adds_up(len(fixes.time_s), parts)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
+from comparisons.checks.settings import settings_result, settings_rows
 from comparisons.config import LogSection, RunConfig, setting_default
 from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, Preset, same
@@ -21,7 +22,6 @@ from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import read_log
 from comparisons.logs.transforms.published_sigmas import FORMATS, with_published_sigmas
 from comparisons.pipeline.read import load_log
-from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
 from comparisons.words import Row
 from ekf_reference.association.nearest_neighbour import NearestNeighbour

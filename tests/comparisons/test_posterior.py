@@ -18,7 +18,7 @@ from comparisons.extensions.posterior.extension import (
     judged,
 )
 from comparisons.jobs.run import Comparison, compare
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from graphslam.chain_diagnostics import SampledFigure, chain_evidence
 from graphslam.sampling import PosteriorComparison, PosteriorDraws
@@ -52,7 +52,7 @@ def test_a_short_run_has_an_entry_and_rows() -> None:
     problem = found.gaps.result.problem
     assert entry["unknowns"] == problem.state_dimension
     assert len(entry["moments"]["mean"]) == 3 + 2 * problem.landmark_count
-    rows = [row for row in run_rows(found, result) if row.group == "Posterior (draws)"]
+    rows = [row for row in RunReport.of(found).summary().rows if row.group == "Posterior (draws)"]
     assert {row.inside for row in rows} == {True, None}
     assert any(row.quantity.startswith("EKF, last pose") for row in rows)
     assert any(row.quantity.startswith("smoother, whole") for row in rows)
