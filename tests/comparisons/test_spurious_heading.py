@@ -32,7 +32,7 @@ def sound() -> Comparison:
 
 
 def learnt(c: Comparison) -> Learnt:
-    return present(c.spurious)
+    return present(c.known.value(SpuriousFinding))
 
 
 def with_information(information: float) -> Learnt:
@@ -134,7 +134,7 @@ def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
 
 def test_surveyed_landmarks_tell_the_heading() -> None:
     c = compared(with_survey(simulated(seed=2, loop_s=30.0)))
-    assert c.spurious is None
+    assert c.known.value(SpuriousFinding) is None
     assert RunReport.build(c).spurious_heading is None
     assert consistency_panels(c).learnt is None
 

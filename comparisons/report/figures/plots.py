@@ -178,7 +178,7 @@ def _(result: Comparison, axis: Axes) -> None:
         f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.optimism:.3g}"
     )
     estimates = {"smoother": result.smoothed, "EKF": result.ekf.estimate}
-    _draw_estimates(axis, result.log, result.dead_reckoned, estimates)
+    _draw_estimates(axis, result.log, result.known.dead_reckoned, estimates)
     for finding in result.findings.values():
         finding.draw(axis)
     entitle(axis, title)
