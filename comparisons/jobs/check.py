@@ -73,8 +73,8 @@ def check(
         result = _with_departure(grader, explained(grader, result, READINGS) or result)
     instants_s = result.solution.prepared.timeline.instants_s()
     digits = rounded(given.time_s, on_file_clock(given.time_s, log, instants_s))
-    answers = replace(result.answers, before=replace(result.answers.before, source=log))
-    return _qualified(replace(remarked(result, aligned, digits), answers=answers))
+    before = replace(result.before, source=log)
+    return _qualified(replace(remarked(result, aligned, digits), before=before))
 
 
 def _aligned(grader: Grader, given: ExternalEstimate) -> tuple[ExternalEstimate, str]:
@@ -197,6 +197,7 @@ def _qualified(external_check: ExternalCheck) -> ExternalCheck:
     )
     return replace(
         external_check,
+        before=known,
         causes=judged.causes,
         remarks=judged.remarks,
         qualifiers=judged.qualifiers,

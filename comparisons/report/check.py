@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 
@@ -15,35 +13,19 @@ from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, landmark_errors
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
-    BlockAgreement,
-    LandmarkAgreement,
-    Together,
     largest_distance,
 )
 from comparisons.checks.causes import FILTER_FAULTS, SYMPTOMS
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
-from comparisons.checks.gaps import agreeing, block_rows, pose_words
-from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
+from comparisons.checks.grade import LIKE_SIGMA, match_map
 from comparisons.checks.smoother import SmootherFigures
 from comparisons.figures import (
-    METRES,
     Count,
-    LeftOut,
-    Less,
-    Model,
-    More,
-    Named,
-    Nominal,
-    band,
-    finite,
-    in_sigma,
-    percent,
-    rows_of,
-    shown,
 )
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.external_trace import TraceCheck
+from comparisons.jobs.grade import GradeFigures
 from comparisons.pipeline.clock import Clock
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
@@ -60,19 +42,17 @@ from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.job_report import JobReport, job_entries
 from comparisons.report.ladder import SMOOTHER, LadderStep, gap_steps
-from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import VerdictResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import gap_rows
 from comparisons.report.sections import job_page
 from comparisons.report.settings import setting_lines
 from comparisons.report.terminal import Summary
-from comparisons.words import Row, cause_name
+from comparisons.words import DEPARTURE, Row, cause_name
 from ekf_reference.core.landmark_types import POINT
 
 EXTERNAL = "external estimate"
-NOT_STATED = "not stated"
-"""In place of what an estimate's poses know of the log."""
 
 
 def _landmark_table(
@@ -189,53 +169,7 @@ def _mark(left: Departure, drawing: Drawing) -> None:
     drawing.marks(*look, place, [str(left)], [DEPARTURE], [DEPARTURE_COLOUR])
 
 
-def _estimate_rows(result: CheckResult) -> list[Row]:
-    grade_in = None if result.verdict == "unverified" else result.verdict == "agree"
-    rows = [
-        Row("Estimate", "grade", _grade_words(result), f">= {result.required}", grade_in),
-        *rows_of("Estimate", result, ["poses", "information", "coverage"]),
-    ]
-    if (nearest := result.nearest) is not None:
-        far = "largest difference of a mean from the nearest reference"
-        rows += rows_of("Estimate", nearest)
-        rows.append(Row("Estimate", far, in_sigma(nearest.largest_sigma)))
-        if nearest.variance_ratio_least is not None:
-            ends = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
-            ratios = band(*(shown(value, ".4g") for value in ends))
-            rows.append(Row("Estimate", "variances, estimate over nearest reference", ratios))
-    if (left := result.departure) is not None:
-        rows.append(
-            Row("Estimate", DEPARTURE, f"from {left.what}, at {left.time_s:.9g} s, {left.event}")
-        )
-    return rows
-
-
-def _agreement_rows(result: CheckResult) -> list[Row]:
-    path = ["rms_m", "rms_heading_rad", "outside"]
-    rows = rows_of("Path, estimate and smoother", result, path)
-    if result.last_pose is not None:
-        rows += block_rows("Last pose", "estimate", result.last_pose)
-    return [*rows, *agreeing(result.landmarks, "estimate")]
-
-
-def _grade_words(result: CheckResult) -> str:
-    name = result.nearest.name if result.nearest else ""
-    return {
-        "equal": f"equal to {name}",
-        "like": f"like {name}",
-        "plausible": "plausible",
-        "wrong": "wrong",
-        None: "none: too little of the log is covered"
-        if _short(result)
-        else "none: optimum not verified",
-    }[result.grade]
-
-
-def _short(result: CheckResult) -> bool:
-    return any(cause.gap == "coverage" for cause in result.causes) and result.verdict == "disagree"
-
-
-def _verdict_words(result: CheckResult) -> str:
+def _verdict_words(check: ExternalCheck, result: CheckResult) -> str:
     """The grade, and what was asked for, as sentences."""
     nearest = result.nearest.name if result.nearest else ""
     grade = {
@@ -246,7 +180,7 @@ def _verdict_words(result: CheckResult) -> str:
         if any(cause.gap in FILTER_FAULTS for cause in result.causes)
         else "The estimate is wrong: it is like no reference and far from the optimum.",
         None: "There is no grade: too little of the log is covered."
-        if _short(result)
+        if check.is_short
         else "There is no grade: the smoother's optimum or its association is not verified.",
     }[result.grade]
     causes = " The causes, the most important first:" if result.causes else ""
@@ -268,101 +202,24 @@ def _facts(result: CheckResult) -> list[tuple[str, str]]:
     return facts
 
 
-def _nearest(likeness: Likeness | None) -> NearestResult | None:
-    if likeness is None:
-        return None
-    low, high = likeness.variances or (None, None)
-    return NearestResult(
-        name=likeness.reference.name,
-        largest_sigma=finite(likeness.sigma),
-        variance_ratio_least=low,
-        variance_ratio_largest=None if high is None else finite(high),
-        parts=[part.name for part in likeness.parts],
-        missing=[*likeness.missing, *likeness.unmapped],
-    )
-
-
-def _turned(angle_rad: float) -> str:
-    return f"{math.degrees(angle_rad):.3g} deg"
-
-
-class NearestResult(Model):
-    """The reference that the estimate is nearest to.
-
-    See comparisons.checks.grade.Likeness.
-
-    Attributes:
-        name: name of the reference.
-        largest_sigma: largest difference of any mean, in sigma.
-        variance_ratio_least: least variance over the reference's, of all poses, landmarks and
-            directions; None without covariances.
-        variance_ratio_largest: largest such ratio; None without covariances.
-        parts: parts of the estimate that were compared.
-        missing: parts that the estimate does not have.
-    """
-
-    name: Annotated[str, Named("nearest reference", "{}")]
-    largest_sigma: Less[float | None]
-    variance_ratio_least: Nominal[float | None]
-    variance_ratio_largest: Nominal[float | None]
-    parts: list[str]
-    missing: list[str]
-
-
-class CheckResult(VerdictResult):
+class CheckResult(GradeFigures, VerdictResult):
     """`check.json`: an external estimate compared with reference filters and with the smoother.
 
     Attributes:
         smoother: the smoother.
         association_by: who associated.
-        information: what a pose of the estimate knows: filtered or smoothed.
-        estimator: kind of estimator, as the estimate says.
-        absent: parts that were not handed in.
-        poses: poses that were judged.
-        coverage: share of the log's time that the estimate covers.
-        uncovered_s: intervals that it does not cover.
-        rms_m: root mean square distance of the positions from the smoother's.
-        rms_heading_rad: root mean square difference of the headings.
-        outside: share of the poses beyond the 99.9 % region of their own covariance; None without
-            covariances.
-        last_pose: the last pose, compared with the smoother's.
-        landmarks: each landmark, compared with the smoother's.
-        estimate_sha256: hashes of the files that were judged, by name; empty where none were read.
         consistency: consistency of the estimate's covariances.
         accuracy: errors of the estimate.
         smoother_accuracy: errors of the smoother.
         trace: what the recorded equations say; None without a trace.
-        grade: how near to a reference EKF or to the optimum; None where it is not like any
-            reference and the optimum is not verified.
-        required: the lowest grade that agrees.
-        nearest: the nearest reference.
-        departure: where the estimate, or its trace, first leaves a sound filter; None where not.
     """
 
     smoother: Count[SmootherFigures]
     association_by: str
-    information: Annotated[str, Named("kind of poses (filtered, smoothed)", "{}")]
-    estimator: str
-    absent: list[str]
-    poses: Annotated[Count[int], Named("poses")]
-    coverage: Annotated[More[float], Named("coverage of the log's time", percent)]
-    uncovered_s: list[tuple[float, float]]
-    rms_m: Annotated[Less[float], Named("difference of the positions (rms)", METRES)]
-    rms_heading_rad: Annotated[Less[float], Named("difference of the headings (rms)", _turned)]
-    outside: Annotated[
-        Less[float | None], Named("poses beyond the 99.9 % region of their own covariance", percent)
-    ]
-    last_pose: BlockAgreement | None
-    landmarks: Together[tuple[LandmarkAgreement, ...]]
-    estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
     accuracy: Accuracy | None = None
     smoother_accuracy: Accuracy | None = None
     trace: Count[TraceCheck | None]
-    grade: Literal["equal", "like", "plausible", "wrong"] | None
-    required: Literal["equal", "like", "plausible"]
-    nearest: NearestResult | None
-    departure: LeftOut[Departure | None]
 
 
 def check_ladder(result: CheckResult) -> list[LadderStep]:
@@ -424,26 +281,9 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
     @staticmethod
     def build(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
         """The findings, read being the time that reading log and estimate took."""
-        agreement, solution = check.agreement, check.solution
         return CheckResult(
-            association_by=solution.association_by,
-            information=check.given.information or NOT_STATED,
-            estimator=check.given.estimator,
-            absent=check.given.absent,
-            poses=len(agreement.time_s),
-            coverage=check.coverage.share,
-            uncovered_s=check.coverage.holes_s.tolist(),
-            rms_m=agreement.rms_m,
-            rms_heading_rad=agreement.rms_heading_rad,
-            outside=agreement.outside,
-            last_pose=agreement.last,
-            landmarks=agreement.landmarks,
-            estimate_sha256=dict(check.given.sha256),
+            association_by=check.solution.association_by,
             trace=check.trace,
-            grade=check.grade.value,
-            required=check.grade.required,
-            nearest=_nearest(check.grade.by),
-            departure=check.departure,
             verdict=check.outcome,
             qualifiers=list(check.qualifiers),
             inconsistent=None if check.inconsistent is None else list(check.inconsistent),
@@ -456,20 +296,7 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
     def headline(self) -> str:
         """The outcome and the grade."""
         required = f" (required: {self.result.required})"
-        return f"{super().headline}; grade: {_grade_words(self.result)}{required}"
-
-    @property
-    def lines(self) -> Sequence[tuple[str, str]]:
-        """What of the estimate agrees with the smoother."""
-        result, agree = self.result, []
-        if result.landmarks:
-            count = sum(row.agrees for row in result.landmarks)
-            agree.append(f"{count} of {len(result.landmarks)} landmarks")
-        if result.last_pose is not None:
-            agree.append(pose_words(result.last_pose))
-        if len(agree) < 2:
-            agree.append(f"path {result.rms_m:.3f} m rms from smoother")
-        return [("agreement", "; ".join(agree))]
+        return f"{super().headline}; grade: {self.found.grade_words}{required}"
 
     @property
     def steps(self) -> Sequence[LadderStep]:
@@ -478,10 +305,8 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
 
     @property
     def job_rows(self) -> Sequence[Row]:
-        """Rows of the estimate, and of its filter's gaps where it has a trace."""
-        result = self.result
-        steps = self.steps if result.trace else ()
-        return [*_estimate_rows(result), *_agreement_rows(result), *gap_rows(steps)]
+        """Rows of its filter's gaps, where the estimate has a trace."""
+        return gap_rows(self.steps) if self.result.trace else []
 
     def summary(self) -> Summary:
         """Return what the command prints; what the first cause explains stands behind it."""
@@ -510,16 +335,18 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
         map_content, marked = check_map(check, ours, theirs)
         rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
         off = "; ".join(result.inconsistent or ())
-        grade = "no grade" if result.grade is None else _grade_words(result)
+        grade = "no grade" if result.grade is None else check.grade_words
         source = Path(str(result.config.get("estimate") or "arrays")).name
         settings = setting_lines(solution.prepared.config, result.settings)
         return replace(
             job_page(result, self.summary(), "check", map_content, (reported, panels), settings),
             headline=f"{result.headline}, {grade}",
-            words=_verdict_words(result),
+            words=_verdict_words(check, result),
             facts=[
                 *_facts(result),
-                *facts_of(check.known.lines, leave=["consistency"] if off else ()),
+                *facts_of(
+                    check.known.lines, leave={"agreement", "consistency"} if off else {"agreement"}
+                ),
             ],
             about=f"estimate: {source}; log: {result.log.words}",
             notes=[f"The estimate is inconsistent: {off}."] if off else (),

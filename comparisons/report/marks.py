@@ -15,7 +15,6 @@ TRUTH_COLOUR = "#444444"
 SCANS_COLOUR = "#edae49"
 TIME, EVENT = "time [s]", "event"
 """Axes that all curves over them share."""
-DEPARTURE = "first difference"
 DEPARTURE_COLOUR = "#7b4fa3"
 
 

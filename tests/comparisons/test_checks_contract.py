@@ -143,7 +143,7 @@ def jobs() -> dict[str, tuple[Known, Report[Any, Any]]]:
 
 PARTS = {
     "run": {one.name for one in OF_RUN},
-    "check": {"smoother"},
+    "check": {"smoother", "grade"},
     "solve": {"map", "smoother"},
 }
 """What a job has besides its log and settings."""
