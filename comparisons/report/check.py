@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, landmark_errors
@@ -20,6 +21,7 @@ from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, match_map
 from comparisons.checks.smoother import SmootherFigures
+from comparisons.estimates.estimate import Estimate
 from comparisons.figures import (
     Count,
 )
@@ -28,7 +30,6 @@ from comparisons.jobs.external_trace import TraceCheck
 from comparisons.jobs.grade import GradeFigures
 from comparisons.pipeline.clock import Clock
 from comparisons.report.figures.run import map_figure
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.map import (
     MapContent,
@@ -38,16 +39,14 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, facts_of, write_page
+from comparisons.report.html.page import PageContent
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.job_report import JobReport, job_entries
+from comparisons.report.job_report import JobReport, judged_entries
 from comparisons.report.ladder import SMOOTHER, LadderStep, gap_steps
-from comparisons.report.marks import DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR, Panel
 from comparisons.report.models import VerdictResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import gap_rows
-from comparisons.report.sections import job_page
-from comparisons.report.settings import setting_lines
 from comparisons.report.terminal import Summary
 from comparisons.words import DEPARTURE, Row, cause_name
 from ekf_reference.core.landmark_types import POINT
@@ -278,6 +277,8 @@ def _reference_steps(result: CheckResult) -> list[LadderStep]:
 class CheckReport(JobReport[ExternalCheck, CheckResult]):
     """Report of `slamcheck check`."""
 
+    judged = "estimate"
+
     @staticmethod
     def build(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
         """The findings, read being the time that reading log and estimate took."""
@@ -285,11 +286,7 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
             association_by=check.solution.association_by,
             trace=check.trace,
             verdict=check.outcome,
-            qualifiers=list(check.qualifiers),
-            inconsistent=None if check.inconsistent is None else list(check.inconsistent),
-            causes=check.causes,
-            remarks=list(check.remarks),
-            **job_entries(check.known, CheckResult, read),
+            **judged_entries(check.known, check, CheckResult, read),
         )
 
     @property
@@ -326,42 +323,51 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
             ],
         )
 
-    def page(self) -> PageContent:
-        """Return what stands on the page."""
-        check, result = self.found, self.result
-        given, solution = check.given, check.solution
-        reported, panels = external_panels(check)
-        ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
-        map_content, marked = check_map(check, ours, theirs)
-        rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
-        off = "; ".join(result.inconsistent or ())
+    @property
+    def curves(self) -> tuple[str, Sequence[Panel]]:
+        """Errors by truth and by the smoother, and innovations over time."""
+        return external_panels(self.found)
+
+    @property
+    def facts(self) -> Sequence[tuple[str, str]]:
+        """What the grade rests on."""
+        return _facts(self.result)
+
+    @cached_property
+    def _common(self) -> tuple[Index, Index]:
+        """Rows of the landmarks that the estimate and the smoother have."""
+        labelled = self.found.solution.prepared.labelled
+        return match_map(self.found.given, self.found.optimum, labelled=labelled)
+
+    @cached_property
+    def _map(self) -> tuple[MapContent, Index]:
+        return check_map(self.found, *self._common)
+
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: smoother, estimate, and filters beside it."""
+        return self._map[0]
+
+    def page(self, pictures: Sequence[Path] = ()) -> PageContent:
+        """Return what stands on the page. pictures: files of those that have been drawn."""
+        check, result, (ours, theirs) = self.found, self.result, self._common
+        shown = theirs[np.isin(theirs, self._map[1])]
+        rows, note = _landmark_table(check, result, ours, shown)
         grade = "no grade" if result.grade is None else check.grade_words
         source = Path(str(result.config.get("estimate") or "arrays")).name
-        settings = setting_lines(solution.prepared.config, result.settings)
         return replace(
-            job_page(result, self.summary(), "check", map_content, (reported, panels), settings),
+            super().page(pictures),
             headline=f"{result.headline}, {grade}",
             words=_verdict_words(check, result),
-            facts=[
-                *_facts(result),
-                *facts_of(
-                    check.known.lines, leave={"agreement", "consistency"} if off else {"agreement"}
-                ),
-            ],
             about=f"estimate: {source}; log: {result.log.words}",
-            notes=[f"The estimate is inconsistent: {off}."] if off else (),
             landmarks=rows,
             landmarks_note=note,
         )
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written."""
-        check = self.found
-        return JobFolder(
-            name="check",
-            result=self.result,
-            config=check.solution.prepared.config,
-            estimates={"smoother": check.solution.estimate},
-            figures={"map": map_figure(check)},
-            files={"report.html": partial(write_page, self.page())},
-        )
+    @property
+    def estimates(self) -> Mapping[str, Estimate]:
+        """The smoother's, for the other one was handed in."""
+        return {"smoother": self.found.solution.estimate}
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map."""
+        return {"map": map_figure(self.found)}

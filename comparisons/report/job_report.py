@@ -6,8 +6,8 @@ report adds what only it has, and a job without one is reported as it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -19,16 +19,19 @@ from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.known import Known
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import MapContent, estimate_map
-from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.html.page import PageContent, facts_of, page_of, write_page
 from comparisons.report.job import Report
-from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, Panel
 from comparisons.report.models import CheckedResult, JobResult
+from comparisons.report.panels import known_panels
 from comparisons.report.rows import gap_rows, seconds_rows
-from comparisons.report.sections import known_page
+from comparisons.report.settings import setting_lines
 from comparisons.report.terminal import Summary
-from comparisons.words import Row, cause_name
+from comparisons.words import Cause, Row, cause_name
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from comparisons.estimates.estimate import Estimate
     from comparisons.report.ladder import LadderStep
 
@@ -47,6 +50,11 @@ R = TypeVar("R", bound=JobResult)
 
 class JobReport(Report[F, R]):
     """Report of a job on a log."""
+
+    file = ""
+    """Name of the result's file without suffix, where it is not the job's."""
+    judged = "filter"
+    """What the job judges, in words."""
 
     @property
     def known(self) -> Known:
@@ -96,10 +104,37 @@ class JobReport(Report[F, R]):
         colour = SMOOTHER_COLOUR if self.known.run is None else EKF_COLOUR
         return estimate_map(self.known.log, name, colour, estimate)
 
-    def page(self) -> PageContent:
-        """Return what stands on the page."""
-        known, config = self.known, self.known.prepared.config
-        return known_page(self.result, self.summary(), known.job, self.drawn(), config, known)
+    @property
+    def curves(self) -> tuple[str, Sequence[Panel]]:
+        """What the page's curves show, in words, and their panels."""
+        return known_panels(self.known)
+
+    @property
+    def facts(self) -> Sequence[tuple[str, str]]:
+        """Figures of the page in the place of the line of agreement."""
+        return ()
+
+    def page(self, pictures: Sequence[Path] = ()) -> PageContent:
+        """Return what stands on the page. pictures: files of those that have been drawn."""
+        result, known, (reported, panels) = self.result, self.known, self.curves
+        off = "; ".join(getattr(result, "inconsistent", None) or ())
+        elsewhere = {"agreement", "consistency"} if off else {"agreement"}
+        return replace(
+            page_of(self.summary(), result.log.name),
+            job=known.job,
+            about=result.log.words,
+            notes=[f"The {self.judged} is inconsistent: {off}."] if off else (),
+            facts=[*facts_of(self.lines), *self.facts, *facts_of(known.lines, elsewhere)],
+            map=self.drawn(),
+            reported=reported,
+            panels=panels,
+            pictures=pictures,
+            sections=[part for finding in known.findings.values() for part in finding.sections()],
+            settings=setting_lines(known.prepared.config, result.settings),
+            seconds=result.seconds,
+            cpu_s=result.cpu_s or {},
+            versions=result.versions,
+        )
 
     @property
     def estimates(self) -> Mapping[str, Estimate]:
@@ -107,19 +142,36 @@ class JobReport(Report[F, R]):
         return {name.lower(): estimate for name, estimate in self.known.estimates.items()}
 
     @property
+    def formats(self) -> Collection[str]:
+        """In which the pictures are written besides."""
+        return ()
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Return pictures, by file name without suffix, besides those of findings."""
+        return {}
+
     def files(self) -> Mapping[str, Callable[[Path], object]]:
-        """Files besides, by name, each written by a function that is given its path."""
-        return {"report.html": partial(write_page, self.page())}
+        """Return files besides, by name, each written by a function that is given its path."""
+        return {}
 
     def folder(self) -> JobFolder:
-        """Return what is to be written."""
+        """Return what is to be written; in the page stand the pictures of findings."""
         known = self.known
+        found = known.findings.values()
+        pictures = {name: figure for f in found for name, figure in f.figures().items()}
+        estimates = {name: estimate for f in found for name, estimate in f.estimates.items()}
+
+        def write(path: Path) -> None:
+            write_page(self.page([path.with_name(f"{name}.png") for name in pictures]), path)
+
         return JobFolder(
-            name=known.job,
+            name=self.file or known.job,
             result=self.result,
             config=None if known.name else known.prepared.config,
-            estimates=self.estimates,
-            files=self.files,
+            estimates={**self.estimates, **estimates},
+            formats=self.formats,
+            figures={**self.figures(), **pictures},
+            files={"report.html": write, **self.files()},
         )
 
 
@@ -151,6 +203,40 @@ def job_entries(
         "config": prepared.config.model_dump(mode="json"),
         "versions": package_versions(),
         **Clock().after(read, prepared.clock, beside),
+    }
+
+
+class Judged(Protocol):
+    """A verdict, with what a reader of it must know as well."""
+
+    @property
+    def qualifiers(self) -> Sequence[str]:
+        """Reservations beside the outcome."""
+
+    @property
+    def inconsistent(self) -> Sequence[str] | None:
+        """What of the consistency is outside its band; None where nothing tells."""
+
+    @property
+    def causes(self) -> Sequence[Cause]:
+        """Reasons for the outcome, the first one first."""
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Sentences that change nothing."""
+
+
+def judged_entries(
+    known: Known, judged: Judged, result: type[JobResult], read: Clock | None = None
+) -> dict[str, Any]:
+    """Return the same for a job that judges a filter, and its verdict."""
+    inconsistent = judged.inconsistent
+    return {
+        **job_entries(known, result, read),
+        "qualifiers": list(judged.qualifiers),
+        "inconsistent": None if inconsistent is None else list(inconsistent),
+        "causes": judged.causes,
+        "remarks": list(judged.remarks),
     }
 
 

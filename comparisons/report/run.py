@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -12,11 +12,10 @@ import numpy as np
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
-from comparisons.checks.agreement import BlockAgreement
+from comparisons.checks.agreement import BlockAgreement, PlacedAgreement
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import NAMED
 from comparisons.pipeline.clock import Clock
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
 from comparisons.report.html.map import (
     MapContent,
@@ -25,14 +24,13 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, facts_of, write_page
+from comparisons.report.html.page import PageContent
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.job_report import JobReport, job_entries
+from comparisons.report.job_report import JobReport, judged_entries
 from comparisons.report.ladder import LadderStep, ladder
-from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, Panel
 from comparisons.report.models import SCHEMA, Result
 from comparisons.report.panels import ConsistencyPanels, consistency_panels, further_estimates
-from comparisons.report.sections import job_page
 from comparisons.report.settings import setting_lines
 from ekf_reference.core.state import correlation_coefficients
 
@@ -51,6 +49,8 @@ _WORDS = {
 class RunReport(JobReport[Comparison, Result]):
     """Report of `slamcheck run`: both estimators on one log."""
 
+    file = "result"
+
     @staticmethod
     def build(comparison: Comparison, read: Clock | None = None) -> Result:
         """Return the findings of a run, read being the time that reading the log took."""
@@ -59,12 +59,8 @@ class RunReport(JobReport[Comparison, Result]):
             schema_version=SCHEMA,
             verdict=verdict.outcome,
             summary=verdict.summary,
-            qualifiers=list(verdict.qualifiers),
-            inconsistent=None if verdict.inconsistent is None else list(verdict.inconsistent),
             failed_on=list(verdict.failed_on),
-            causes=verdict.causes,
-            remarks=list(verdict.remarks),
-            **job_entries(comparison.known, Result, read),
+            **judged_entries(comparison.known, verdict, Result, read),
         )
 
     @cached_property
@@ -94,96 +90,83 @@ class RunReport(JobReport[Comparison, Result]):
         """The gaps from the EKF down to the truth."""
         return ladder(self.result)
 
+    @property
+    def curves(self) -> tuple[str, Sequence[Panel]]:
+        """Errors, NEES, distances and innovations over time."""
+        return self.panels.reported, self.panels.every
+
+    @property
+    def facts(self) -> Sequence[tuple[str, str]]:
+        """What the verdict rests on."""
+        return _facts(self.result, [*self.result.agreement.landmarks, *self._scan_landmarks])
+
+    @property
+    def _scan_landmarks(self) -> list[PlacedAgreement]:
+        return [row for finding in self.found.findings.values() for row in finding.landmarks()]
+
+    @cached_property
+    def _marked(self) -> Index:
+        """Rows of the landmarks that the map and its table have."""
+        blocks = self.found.agreement.landmarks
+        return farthest(np.array([block.distance_sigma for block in blocks]))
+
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: both estimates and those of the extensions."""
+        return run_map(self.found, self._marked)
+
     def page(self, pictures: Sequence[Path] = ()) -> PageContent:
         """Return what stands on the page. pictures: files of those that have been drawn."""
-        result, panels = self.result, self.panels
-        c, a = self.found, result.agreement.landmarks
-        ekf, view = c.ekf.estimate, c.findings.values()
-        marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
+        result, c, content = self.result, self.found, super().page(pictures)
+        ekf, a, marked = c.ekf.estimate, result.agreement.landmarks, self._marked
         labelled = c.prepared.labelled
         errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
         names = ekf.names
         rows = [LandmarkRow(str(a[i].id), names[i], a[i], errors[i]) for i in marked.tolist()]
-        scan = [row for finding in view for row in finding.landmarks()]
-        rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
-        inconsistent = "; ".join(result.inconsistent or ())
-        curves = panels.reported, panels.every
-        settings = setting_lines(c.prepared.config, result.settings, c.prepared.ekf)
+        rows += [LandmarkRow(f"s{r.id}", f"scan {r.id}", r) for r in self._scan_landmarks]
+        correlations = {
+            name: correlation_coefficients(estimate.joint_covariance)
+            for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
+        }
         return replace(
-            job_page(result, self.summary(), "run", run_map(c, marked), curves, settings),
+            content,
             headline=result.headline,
             words=_WORDS[result.verdict],
-            facts=[
-                *facts_of(self.lines),
-                *_facts(result, [*a, *scan]),
-                *facts_of(c.known.lines, leave={"agreement", *_noted(inconsistent)}),
-            ],
-            notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
-            curves_file="consistency.png" if c.prepared.config.report.figures else "",
-            pictures=pictures,
-            sections=[
-                heat_maps(
-                    "Correlation coefficients",
-                    {
-                        name: correlation_coefficients(estimate.joint_covariance)
-                        for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
-                    },
-                ),
-                *(section for finding in view for section in finding.sections()),
-            ],
+            curves_file="consistency.png" if self.formats else "",
+            sections=[heat_maps("Correlation coefficients", correlations), *content.sections],
             landmarks=rows,
             landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
+            settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),
         )
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written."""
-        c, config = self.found, self.found.prepared.config
-        view = c.findings.values()
-        own = {name: figure for finding in view for name, figure in finding.figures().items()}
+    @property
+    def formats(self) -> Collection[str]:
+        """In which the pictures are asked for."""
+        return self.found.prepared.config.report.figures
 
-        def write(path: Path) -> None:
-            pictures = [path.with_name(f"{name}.png") for name in own]
-            write_page(self.page(pictures), path)
-
-        files: dict[str, Callable[[Path], object]] = {"report.html": write}
-        if config.report.trace:
-            from comparisons.audit.run_trace import write_run
-            from comparisons.estimates.trace_file import TRACE
-
-            files[f"ekf/{TRACE}"] = lambda path: write_run(c.ekf, path)
-        return JobFolder(
-            name="result",
-            result=self.result,
-            config=config,
-            estimates={
-                "ekf": c.ekf.estimate,
-                "smoother": c.smoothed,
-                **{
-                    name: estimate
-                    for finding in view
-                    for name, estimate in finding.estimates.items()
-                },
-            },
-            formats=config.report.figures,
-            figures={**(_figures(c, self.panels) if config.report.figures else {}), **own},
-            files=files,
+    def figures(self) -> Mapping[str, Figure]:
+        """Return as pictures what the page draws in any case, where pictures are asked for."""
+        if not self.formats:
+            return {}
+        from comparisons.report.figures.run import (
+            consistency_figure,
+            correlation_figure,
+            map_figure,
         )
 
+        return {
+            "map": map_figure(self.found),
+            "correlation": correlation_figure(self.found),
+            "consistency": consistency_figure(self.found, self.panels),
+        }
 
-def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Figure]:
-    """Return as figures what the page draws in any case, by name."""
-    from comparisons.report.figures.run import consistency_figure, correlation_figure, map_figure
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return the filter's trace, where that is asked for."""
+        if not self.found.prepared.config.report.trace:
+            return {}
+        from comparisons.audit.run_trace import write_run
+        from comparisons.estimates.trace_file import TRACE
 
-    return {
-        "map": map_figure(comparison),
-        "correlation": correlation_figure(comparison),
-        "consistency": consistency_figure(comparison, panels),
-    }
-
-
-def _noted(inconsistent: str) -> Collection[str]:
-    """The line that a note says in full, where there is one."""
-    return ("consistency",) if inconsistent else ()
+        return {f"ekf/{TRACE}": lambda path: write_run(self.found.ekf, path)}
 
 
 def _known_example(result: Result) -> list[tuple[str, str]]:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+
+from matplotlib.figure import Figure
 
 from comparisons.checks.optimum import overstated
 from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.run import map_figure
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import MapContent, Track, estimate_map
-from comparisons.report.html.page import write_page
 from comparisons.report.job_report import JobReport, optimum_entries
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import SolutionResult
@@ -27,6 +26,8 @@ LARGEST_DRAWN = 150
 
 class SolutionReport(JobReport[Solution, SolutionResult]):
     """Report of `slamcheck solve`."""
+
+    file = "solution"
 
     @staticmethod
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
@@ -79,24 +80,19 @@ class SolutionReport(JobReport[Solution, SolutionResult]):
         )
         return estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written."""
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map."""
+        return {"map": map_figure(self.found)}
+
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return the graph for other programs, and a small one as dot."""
         estimate, smoothed = self.found.estimate, self.found.result
         contents = G2oContents(
             smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
         )
-        files: dict[str, Callable[[Path], object]] = {
-            "report.html": partial(write_page, self.page())
-        }
+        files: dict[str, Callable[[Path], object]] = {}
         if holds(smoothed.problem):
             files["graph.g2o"] = lambda path: write_g2o(path, contents)
         if smoothed.values.size() <= LARGEST_DRAWN:
             files["graph.dot"] = lambda path: smoothed.graph.saveGraph(str(path), smoothed.values)
-        return JobFolder(
-            name="solution",
-            result=self.result,
-            config=self.found.prepared.config,
-            estimates={"smoother": estimate},
-            figures={"map": map_figure(self.found)},
-            files=files,
-        )
+        return files

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -30,9 +30,7 @@ from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.figures import Model, Named, rows_of
 from comparisons.pipeline.clock import Clock
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import MapContent, estimate_map
-from comparisons.report.html.page import write_page
 from comparisons.report.job_report import JobReport, job_entries
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR
@@ -223,32 +221,27 @@ class MapReport(JobReport[DenseMapping, MapResult]):
         cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
         return estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written: the map, and each layer in several formats.
-
-        Layers as clouds need Open3D: raises MissingLibraryError. Without regions there are none.
-        """
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map, and where something moves."""
         mapping = self.found
         figures = {"map": dense_map_figure(mapping)}
-        dynamic = mapping.dense.dense.dynamic
-        if dynamic is not None:
+        if (dynamic := mapping.dense.dense.dynamic) is not None:
             figures["dynamic-map"] = dynamic_figure(mapping, dynamic)
-        files: dict[str, Callable[[Path], object]] = {
-            "report.html": partial(write_page, self.page())
-        }
-        if len(mapping.placed.triangle):
-            files["regions.csv"] = lambda path: path.write_text(
-                regions_csv(mapping), encoding="utf-8"
-            )
-            files |= _layer_files(mapping)
-        return JobFolder(
-            name="map",
-            result=self.result,
-            config=mapping.prepared.config,
-            estimates={"ekf": mapping.ekf.estimate},
-            figures=figures,
-            files=files,
-        )
+        return figures
+
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return regions, and each layer in several formats; without regions there are none.
+
+        Layers as clouds need Open3D: raises MissingLibraryError.
+        """
+        mapping = self.found
+        if not len(mapping.placed.triangle):
+            return {}
+
+        def write_regions(path: Path) -> None:
+            path.write_text(regions_csv(mapping), encoding="utf-8")
+
+        return {"regions.csv": write_regions, **_layer_files(mapping)}
 
 
 def _map_rows(result: MapResult) -> list[Row]:

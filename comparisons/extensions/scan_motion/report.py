@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -14,6 +14,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.optimum import lacking
 from comparisons.checks.smoother import SmootherFigures
+from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.job import FrontEnd
@@ -32,9 +33,7 @@ from comparisons.report.figures.style import (
     entitle,
     plan,
 )
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import MapContent, Track, estimate_map
-from comparisons.report.html.page import write_page
 from comparisons.report.job_report import JobReport, optimum_entries
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import CheckedResult
@@ -98,14 +97,19 @@ class FrontEndReport(JobReport[FrontEnd, FrontEndResult]):
         cloud = ("scans", f.map_points()[:, :2])
         return estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written. Raises MissingLibraryError: a cloud needs Open3D."""
-        f, cloud = self.found, self.found.prepared.config.cloud
-        points, problem = f.map_points(), f.graph.problem
-        files: dict[str, Callable[[Path], object]] = {
-            "odometry.tum": _tum(f.time_s, f.odometry),
-            "report.html": partial(write_page, self.page()),
-        }
+    @property
+    def estimates(self) -> Mapping[str, Estimate]:
+        """The graph's."""
+        return {"graph": self.found.estimate}
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map."""
+        return {"map": front_end_figure(self.found, self.found.map_points())}
+
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return paths, graph and cloud. Raises MissingLibraryError: a cloud needs Open3D."""
+        f, cloud, problem = self.found, self.found.prepared.config.cloud, self.found.graph.problem
+        files = {"odometry.tum": _tum(f.time_s, f.odometry)}
         if f.wheels is not None:
             files["wheels.tum"] = _tum(f.time_s, f.wheels)
         if holds(problem):
@@ -114,15 +118,8 @@ class FrontEndReport(JobReport[FrontEnd, FrontEndResult]):
             )
             files["graph.g2o"] = lambda path: write_g2o(path, contents)
         if cloud is not None:
-            files[f"map.{cloud}"] = lambda path: write_cloud(path, points)
-        return JobFolder(
-            name="odometry",
-            result=self.result,
-            config=f.prepared.config,
-            estimates={"graph": f.estimate},
-            figures={"map": front_end_figure(f, points)},
-            files=files,
-        )
+            files[f"map.{cloud}"] = lambda path: write_cloud(path, f.map_points())
+        return files
 
 
 def _tum(time_s: np.ndarray, pose: np.ndarray) -> Callable[[Path], object]:
