@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.check import About
-from comparisons.checks.finding import Basis
+from comparisons.checks.finding import JobPart
 from comparisons.checks.position_gate import CheckPositions, PositionsFinding, RejectedFixes
 from comparisons.figures import Exact, Model, Named, Same, percent, rows_of
 from comparisons.words import Row
@@ -83,29 +82,24 @@ class EkfFigures(Model):
         Named("passive covariance that a global update leaves unchanged", _WHOLE),
     ]
 
-
-class FilterFinding(Basis[EkfFigures]):
-    """What the filter used and rejected."""
-
-    def rows(self) -> Sequence[Row]:
+    def rows(self) -> list[Row]:
         """Return rows of the table: the filter, and which measurements it used."""
-        ekf = self.value
         names = ["filter", "association", "landmarks", "rejected", "ambiguous", "candidate"]
-        if ekf.attributes != "off":
+        if self.attributes != "off":
             names.append("attributes")
-        if ekf.dynamic or ekf.deactivated:
+        if self.dynamic or self.deactivated:
             names += ["dynamic", "deactivated"]
-        if ekf.updates is not None:
+        if self.updates is not None:
             names += ["updates", "updates_with_passive", "active_share"]
-        if ekf.global_updates:
+        if self.global_updates:
             names += ["global_updates", "global_update_spared"]
-        if ekf.gps != "off":
+        if self.gps != "off":
             names += ["fixes_fused", "fixes_rejected"]
-            if ekf.fixes_outside_stretches is not None:
+            if self.fixes_outside_stretches is not None:
                 names.append("fixes_outside_stretches")
-            if ekf.longest_streak:
+            if self.longest_streak:
                 names += ["fixes_in_streaks", "longest_streak", "fixes_rejected_by_smoother"]
-        return rows_of("EKF", ekf, names)
+        return rows_of("EKF", self, names)
 
 
 class AboutFilter(About):
@@ -115,11 +109,11 @@ class AboutFilter(About):
     needs = "a filter that the job has run"
     figures = (("ekf", EkfFigures),)
 
-    def find(self, known: Known) -> FilterFinding:
+    def find(self, known: Known) -> JobPart[EkfFigures]:
         """Return its settings and counts."""
         CheckPositions().ask(known)
-        found = filter_figures(known.ekf, known.prepared, known.value(PositionsFinding))
-        return FilterFinding(found, entries={"ekf": found})
+        figures = filter_figures(known.ekf, known.prepared, known.value(PositionsFinding))
+        return JobPart("ekf", figures)
 
 
 def filter_figures(

@@ -7,7 +7,7 @@ knows no check by name.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 from comparisons.words import Row
 
@@ -79,6 +79,29 @@ class Of(Finding, Generic[V]):
 
 class Basis(Of[V]):
     """What a job has, of which its gaps are; in every table its rows come first."""
+
+
+class Tabled(Protocol):
+    """Figures that say how tables have them."""
+
+    def rows(self) -> list[Row]:
+        """Return rows of the table."""
+
+
+B = TypeVar("B", bound=Tabled)
+
+
+class JobPart(Basis[B]):
+    """Figures that are an entry of the result, with the rows that they say."""
+
+    def __init__(self, key: str, value: B, *lines: tuple[str, str]) -> None:
+        """key: of the entry. lines: as of `Finding`."""
+        super().__init__(value, entries={key: value})
+        self.lines = lines
+
+    def rows(self) -> Sequence[Row]:
+        """Return rows of the table."""
+        return self.value.rows()
 
 
 class OfFilter(Of[V]):

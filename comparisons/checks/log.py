@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from comparisons.checks.check import About
-from comparisons.checks.finding import Basis
+from comparisons.checks.finding import JobPart
 from comparisons.figures import Model
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
@@ -66,14 +65,6 @@ class LogFigures(Model):
         return f"{self.format}, {self.duration_s:,.0f} s{said}"
 
 
-class LogFinding(Basis[LogFigures]):
-    """The log."""
-
-    def rows(self) -> Sequence[Row]:
-        """Return rows of the table."""
-        return self.value.rows()
-
-
 class AboutLog(About):
     """Which log was read?"""
 
@@ -81,7 +72,6 @@ class AboutLog(About):
     needs = "a log"
     figures = (("log", LogFigures),)
 
-    def find(self, known: Known) -> LogFinding:
+    def find(self, known: Known) -> JobPart[LogFigures]:
         """Return its streams, and where they come from."""
-        found = LogFigures.of(known.log)
-        return LogFinding(found, entries={"log": found})
+        return JobPart("log", LogFigures.of(known.log))

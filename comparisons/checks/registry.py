@@ -21,6 +21,7 @@ from comparisons.checks.position_gate import CheckPositions
 from comparisons.checks.qualifiers import CheckTruthGap
 from comparisons.checks.settings import AboutSettings
 from comparisons.checks.smoother import AboutSmoother
+from comparisons.checks.solution import AboutMap, AboutPoseGraph
 from comparisons.checks.spurious import CheckSpurious
 from comparisons.checks.stated_noise import CheckStatedNoise
 from comparisons.checks.unused_positions import CheckUnusedPositions
@@ -29,6 +30,8 @@ BASIS: tuple[About, ...] = (AboutLog(), AboutSettings())
 """What every job has; each adds its estimates, and asks CHECKS of them."""
 OF_RUN: tuple[About, ...] = (AboutFilter(), AboutSmoother(), AboutGaps())
 """What a run has besides."""
+OF_SOLUTION: tuple[About, ...] = (AboutMap(), AboutPoseGraph(), AboutSmoother())
+"""What a smoother alone has besides."""
 OF_FILTER: tuple[Check, ...] = (
     CheckOptimum(),
     CheckData(),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from comparisons.checks.check import About
-from comparisons.checks.finding import Basis
+from comparisons.checks.finding import JobPart
 from comparisons.config import Configured, EkfConfig, JobConfig, setting_default
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
@@ -45,29 +44,20 @@ class SettingsResult(Model):
     preset: str
     differing: list[DifferingSetting]
 
-
-def settings_rows(settings: SettingsResult) -> list[Row]:
-    """Return the preset, and each setting that a document states at another value."""
-    return [
-        Row(SETTINGS, "preset", settings.preset),
-        *(
-            Row(
-                SETTINGS,
-                setting.setting,
-                shown(setting.value),
-                f"{shown(setting.document)} in {setting.place}",
-            )
-            for setting in settings.differing
-        ),
-    ]
-
-
-class SettingsFinding(Basis[SettingsResult]):
-    """How the job was set."""
-
-    def rows(self) -> Sequence[Row]:
-        """Return rows of the table."""
-        return settings_rows(self.value)
+    def rows(self) -> list[Row]:
+        """Return the preset, and each setting that a document states at another value."""
+        return [
+            Row(SETTINGS, "preset", self.preset),
+            *(
+                Row(
+                    SETTINGS,
+                    setting.setting,
+                    shown(setting.value),
+                    f"{shown(setting.document)} in {setting.place}",
+                )
+                for setting in self.differing
+            ),
+        ]
 
 
 class AboutSettings(About):
@@ -77,12 +67,11 @@ class AboutSettings(About):
     needs = "a configuration"
     figures = (("settings", SettingsResult),)
 
-    def find(self, known: Known) -> SettingsFinding:
+    def find(self, known: Known) -> JobPart[SettingsResult]:
         """Return the preset, and what a document states at another value."""
         prepared = known.prepared
         ekf = prepared.ekf if isinstance(prepared.config, Configured) else None
-        found = settings_result(prepared.config, known.log.format, ekf)
-        return SettingsFinding(found, entries={"settings": found})
+        return JobPart("settings", settings_result(prepared.config, known.log.format, ekf))
 
 
 def settings_result(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from comparisons.checks.check import About
-from comparisons.checks.finding import Basis
+from comparisons.checks.finding import JobPart
 from comparisons.figures import (
     Exact,
     LeftOut,
@@ -173,6 +172,36 @@ class SmootherFigures(Model):
             chance_missed=explored.missed,
         )
 
+    def rows(self) -> list[Row]:
+        """Return rows of the table: the smoother, and the evidence for its optimum."""
+        optimum = "verified" if self.verified else f"NOT verified: {self.lacks}"
+        rows = [
+            Row("Smoother", "optimum", optimum, "verified", self.verified),
+            *rows_of("Smoother", self, ["poses", "error"]),
+            _chi_square(self),
+            *(
+                Row(
+                    "Smoother",
+                    f"error reached from the start {start.name}",
+                    shown(start.error, ".2f"),
+                )
+                for start in self.starts
+                if not start.name.startswith("random")
+            ),
+        ]
+        if self.random_starts:
+            rows += rows_of("Smoother", self, ["random_starts", "chance_missed"])
+        if self.hops:
+            rows += rows_of("Smoother", self, ["hops"])
+        rows += _second_minimum(self)
+        if self.method != "batch":
+            far = f"largest distance of the {self.method} estimate from the optimum"
+            rows.append(Row("Smoother", far, in_sigma(self.distance_sigma)))
+        if self.robust != "none":
+            left_out = ["robust", "rejected_measurements", "rejected_positions"]
+            rows += rows_of("Smoother", self, left_out)
+        return rows
+
     @property
     def optimum(self) -> str:
         """Whether it is verified, in words, with chi-square where that is tested."""
@@ -180,14 +209,6 @@ class SmootherFigures(Model):
         if self.dof:
             words += f"; chi-square {self.chi2:,.0f} for {self.dof:,} degrees of freedom"
         return words
-
-
-class SmootherFinding(Basis[SmootherFigures]):
-    """The smoother."""
-
-    def rows(self) -> Sequence[Row]:
-        """Return rows of the table: the smoother, and the evidence for its optimum."""
-        return _rows(self.value)
 
 
 class AboutSmoother(About):
@@ -201,36 +222,9 @@ class AboutSmoother(About):
         """entry: its key in the result."""
         self._entry = entry
 
-    def find(self, known: Known) -> SmootherFinding:
+    def find(self, known: Known) -> JobPart[SmootherFigures]:
         """Return its settings, its starts, and the minima that they found."""
-        found = SmootherFigures.of(known.result, known.smoothed)
-        return SmootherFinding(found, entries={self._entry: found})
-
-
-def _rows(smoother: SmootherFigures) -> list[Row]:
-    optimum = "verified" if smoother.verified else f"NOT verified: {smoother.lacks}"
-    rows = [
-        Row("Smoother", "optimum", optimum, "verified", smoother.verified),
-        *rows_of("Smoother", smoother, ["poses", "error"]),
-        _chi_square(smoother),
-        *(
-            Row("Smoother", f"error reached from the start {start.name}", shown(start.error, ".2f"))
-            for start in smoother.starts
-            if not start.name.startswith("random")
-        ),
-    ]
-    if smoother.random_starts:
-        rows += rows_of("Smoother", smoother, ["random_starts", "chance_missed"])
-    if smoother.hops:
-        rows += rows_of("Smoother", smoother, ["hops"])
-    rows += _second_minimum(smoother)
-    if smoother.method != "batch":
-        far = f"largest distance of the {smoother.method} estimate from the optimum"
-        rows.append(Row("Smoother", far, in_sigma(smoother.distance_sigma)))
-    if smoother.robust != "none":
-        left_out = ["robust", "rejected_measurements", "rejected_positions"]
-        rows += rows_of("Smoother", smoother, left_out)
-    return rows
+        return JobPart(self._entry, SmootherFigures.of(known.result, known.smoothed))
 
 
 def _chi_square(smoother: SmootherFigures) -> Row:

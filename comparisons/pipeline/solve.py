@@ -25,9 +25,7 @@ from comparisons.checks.association_variants import (
 )
 from comparisons.checks.check import Answers, FromJob, Question
 from comparisons.checks.optimum import lacking
-from comparisons.checks.registry import BASIS, CHECKS
-from comparisons.checks.smoother import AboutSmoother
-from comparisons.checks.solution import AboutMap, AboutPoseGraph
+from comparisons.checks.registry import BASIS, CHECKS, OF_SOLUTION
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -109,8 +107,7 @@ class Solution(Shown):
             timeline=self.prepared.timeline,
             positions=self.prepared.positions,
         )
-        estimates = (AboutMap(), AboutPoseGraph(), AboutSmoother())
-        checks: list[Question[Known]] = [*BASIS, *estimates, *CHECKS]
+        checks: list[Question[Known]] = [*BASIS, *OF_SOLUTION, *CHECKS]
         if self.association_check is not None:
             variants = AssociationVariants(self.association_check)
             checks.append(FromJob("association_check", variants))

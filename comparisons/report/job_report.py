@@ -27,12 +27,14 @@ from comparisons.report.panels import known_panels
 from comparisons.report.rows import gap_rows, seconds_rows
 from comparisons.report.settings import setting_lines
 from comparisons.report.terminal import Summary
-from comparisons.words import Cause, Row, cause_name
+from comparisons.words import Row, cause_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from comparisons.checks.verdict import Verdict
     from comparisons.estimates.estimate import Estimate
+    from comparisons.jobs.external_check import ExternalCheck
     from comparisons.report.ladder import LadderStep
 
 
@@ -206,28 +208,11 @@ def job_entries(
     }
 
 
-class Judged(Protocol):
-    """A verdict, with what a reader of it must know as well."""
-
-    @property
-    def qualifiers(self) -> Sequence[str]:
-        """Reservations beside the outcome."""
-
-    @property
-    def inconsistent(self) -> Sequence[str] | None:
-        """What of the consistency is outside its band; None where nothing tells."""
-
-    @property
-    def causes(self) -> Sequence[Cause]:
-        """Reasons for the outcome, the first one first."""
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """Sentences that change nothing."""
-
-
 def judged_entries(
-    known: Known, judged: Judged, result: type[JobResult], read: Clock | None = None
+    known: Known,
+    judged: Verdict | ExternalCheck,
+    result: type[JobResult],
+    read: Clock | None = None,
 ) -> dict[str, Any]:
     """Return the same for a job that judges a filter, and its verdict."""
     inconsistent = judged.inconsistent

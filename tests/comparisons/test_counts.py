@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from comparisons.audit.audit import audit
-from comparisons.checks.filter import FilterFinding
 from comparisons.config import CheckConfig, EkfConfig, MapConfig, SmootherConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.extensions.dense_maps.job import map_log
@@ -53,7 +52,7 @@ def test_positions_of_a_run() -> None:
     moved = fixes.position_m + 40.0 * far[:, None]
     log = altered(log, "positions.position_m", moved)
     run = compared(log, ekf=choices)
-    result = run.find(FilterFinding).value
+    result = run.known.findings["ekf"].entries["ekf"]
     assert result.fixes_rejected > 0
     parts = {"fused": result.fixes_fused, "rejected": result.fixes_rejected}
     assert_adds_up(len(fixes.time_s), parts)

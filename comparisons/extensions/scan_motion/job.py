@@ -15,6 +15,7 @@ from comparisons.adapters.smoother_input import assemble, position_rows, smoothe
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.check import Answers, FromJob, Question
+from comparisons.checks.finding import JobPart
 from comparisons.checks.registry import BASIS, CHECKS
 from comparisons.checks.smoother import AboutSmoother
 from comparisons.config import EkfConfig, OdometryConfig
@@ -26,7 +27,7 @@ from comparisons.extensions.scan_motion.log_by_scans import (
     with_scan_motion,
 )
 from comparisons.extensions.scan_motion.result import (
-    LoopFinding,
+    LoopResult,
     ScanOdometryFinding,
     scan_odometry_result,
 )
@@ -146,10 +147,12 @@ def run_front_end(
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
     increments = check_increments(motion, log)
     scans = scan_odometry_result(motion, seconds=clock.seconds["odometry"])
+    loops = LoopResult.of(closed)
+    tried = f"{loops.closed} closed of {loops.tried} tried"
     checks: tuple[Question[Known], ...] = (
         *BASIS,
         FromJob("scans", ScanOdometryFinding(scans, increments)),
-        FromJob("loops", LoopFinding(closed)),
+        FromJob("loops", JobPart("loops", loops, ("loops", tried))),
         AboutSmoother("graph"),
         *CHECKS,
     )

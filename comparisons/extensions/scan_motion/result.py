@@ -102,24 +102,19 @@ class LoopResult(Model):
     closed: Annotated[int, Named("pairs of poses closed")]
     reasons: dict[str, int]
 
-
-class LoopFinding(Basis[LoopResult]):
-    """Which loops were closed."""
-
-    def __init__(self, closed: Closed) -> None:
-        """closed: the loop closures, and all that were tried."""
+    @classmethod
+    def of(cls, closed: Closed) -> LoopResult:
+        """Return it of loop closures, and all that were tried."""
         outcomes = [attempt.outcome for attempt in closed.attempts]
-        loops = LoopResult(
+        return cls(
             tried=len(outcomes),
             closed=len(closed.loop_closures.first),
             reasons=by_reason(outcome for outcome in outcomes if outcome != "accepted"),
         )
-        super().__init__(loops, entries={"loops": loops})
-        self.lines = [("loops", f"{loops.closed} closed of {loops.tried} tried")]
 
-    def rows(self) -> Sequence[Row]:
+    def rows(self) -> list[Row]:
         """Return rows of the table."""
-        return rows_of("Loop closure", self.value)
+        return rows_of("Loop closure", self)
 
 
 class ScanOdometryResult(Model):
