@@ -16,7 +16,7 @@ from comparisons.checks.external_agreement import ExternalAgreement, TimeCoverag
 from comparisons.checks.grade import Graded, Likeness
 from comparisons.checks.registry import BASIS, CHECKS
 from comparisons.checks.smoother import AboutSmoother
-from comparisons.checks.verdict import Outcome
+from comparisons.checks.verdict import Verdict
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.reference import Reference
 from comparisons.jobs.external_trace import TraceCheck
@@ -24,15 +24,14 @@ from comparisons.jobs.grade import GradeFinding
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.solve import Solution
 from comparisons.shown import Shown, render
-from comparisons.words import Cause
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExternalCheck(Shown):
-    """Hold what the check of an external estimate found.
+class ExternalCheck(Shown, Verdict):
+    """Hold what the check of an external estimate found, which is a verdict.
 
     Attributes:
         given: The estimate that was checked.
@@ -71,12 +70,7 @@ class ExternalCheck(Shown):
     coverage: TimeCoverage
     trace: TraceCheck | None
     grade: Graded
-    outcome: Outcome
-    causes: tuple[Cause, ...]
-    remarks: tuple[str, ...]
     before: Known
-    qualifiers: tuple[str, ...] = ()
-    inconsistent: tuple[str, ...] | None = None
     departure: Departure | None = None
     consequences: tuple[str, ...] = ()
     reproduced: bool = False

@@ -285,7 +285,6 @@ class CheckReport(JobReport[ExternalCheck, CheckResult]):
         return CheckResult(
             association_by=check.solution.association_by,
             trace=check.trace,
-            verdict=check.outcome,
             **judged_entries(check.known, check, CheckResult, read),
         )
 

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from comparisons.checks.verdict import Verdict
     from comparisons.estimates.estimate import Estimate
-    from comparisons.jobs.external_check import ExternalCheck
     from comparisons.report.ladder import LadderStep
 
 
@@ -210,18 +209,19 @@ def job_entries(
 
 def judged_entries(
     known: Known,
-    judged: Verdict | ExternalCheck,
+    verdict: Verdict,
     result: type[JobResult],
     read: Clock | None = None,
 ) -> dict[str, Any]:
     """Return the same for a job that judges a filter, and its verdict."""
-    inconsistent = judged.inconsistent
+    inconsistent = verdict.inconsistent
     return {
         **job_entries(known, result, read),
-        "qualifiers": list(judged.qualifiers),
+        "verdict": verdict.outcome,
+        "qualifiers": list(verdict.qualifiers),
         "inconsistent": None if inconsistent is None else list(inconsistent),
-        "causes": judged.causes,
-        "remarks": list(judged.remarks),
+        "causes": verdict.causes,
+        "remarks": list(verdict.remarks),
     }
 
 

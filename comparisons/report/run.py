@@ -57,7 +57,6 @@ class RunReport(JobReport[Comparison, Result]):
         verdict = comparison.verdict
         return Result(
             schema_version=SCHEMA,
-            verdict=verdict.outcome,
             summary=verdict.summary,
             failed_on=list(verdict.failed_on),
             **judged_entries(comparison.known, verdict, Result, read),
