@@ -12,6 +12,8 @@ _NAMES = {"oracle": "optimum not verified"}
 """Of causes whose key in a result a reader would not understand."""
 _FACT = re.compile(r"; (?![^(]*\))")
 """Between the facts of a cause's evidence; not within brackets."""
+DEPARTURE = "first difference"
+"""Of an estimate from a sound filter."""
 SETTINGS = "Settings"
 SPENT = ("Wall time", "Processor time")
 """Groups of rows that a page leaves out, for it has tables of its own for them."""

@@ -111,7 +111,7 @@ def agreement(particles: int, seeds: int, wheelbases: Sequence[float]) -> None:
 def agreement_row(found: Comparison, wheelbase: float, sampling: Sampling) -> CloudCheck:
     """Compare once; FastSLAM alone has a wheelbase that is wrong by a factor."""
     log = found.prepared.log if wheelbase == 1.0 else with_wheelbase(found.prepared.log, wheelbase)
-    clouds, cpu_s = timed(StretchComparison(found.gaps, log, sampling).run, CLOUDS)
+    clouds, cpu_s = timed(StretchComparison(found.known.gaps, log, sampling).run, CLOUDS)
     check = check_clouds(clouds)
     length_s = np.mean([one.end_s - one.begin_s for one in check.stretches])
     exact = check.exact

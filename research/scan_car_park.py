@@ -97,7 +97,7 @@ def one(path: str, number: int, end_s: float | None) -> ScanCarParkDrive:
         len(c.ekf.estimate.pose_landmarks),
         len(c.ekf.pose_landmarks.measured),
         errors(log, c.ekf.estimate),
-        errors(log, c.gaps.smoothed),
+        errors(log, c.known.gaps.smoothed),
         present(present(c.accuracy.dead_reckoning).gps_rms_aligned_m),
         c.find(ScanLandmarksFinding).source.found.scans / spent,
     )

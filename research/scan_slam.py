@@ -235,7 +235,7 @@ def map_errors(c: Comparison, true: Array) -> tuple[float, ...]:
     Medians of the templates' distances from the surfaces: before, at the end, smoothed. RMS from
     the true axes (Q, 3), aligned: before, at the end.
     """
-    source, smoothed = c.find(ScanLandmarksFinding).source, c.gaps.smoothed
+    source, smoothed = c.find(ScanLandmarksFinding).source, c.known.gaps.smoothed
     closing, surfaces = present(source.closing), present(c.log.truth.surfaces)
     # Templates of landmarks that were merged later are other landmarks' by now.
     kept = np.isin(closing.landmark_index, smoothed.pose_landmark_id)

@@ -276,6 +276,7 @@ def test_results_and_what_they_hold_print_in_one_line(
     """Arrays by their shape: numpy's own text of many numbers has many lines."""
     assert "\n" in repr(run.ekf.estimate.pose)
     held: list[object] = [run, checked, checked.solution, run.log, run.ekf.estimate, checked.given]
+    held.append(run.known.gaps)
     held += [slamcheck.compare_estimates(run.ekf.estimate, run.smoothed), slamcheck.RunConfig()]
     for one in tuple(held):
         names = [name for name in dir(one) if name[0] != "_" and not name.startswith("model_")]

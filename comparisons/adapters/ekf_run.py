@@ -46,7 +46,7 @@ UNUSED = {
 class Compression(NamedTuple):
     """What a compressed filter has saved (Guivant 2002, section 4).
 
-    The fields are those of the result, EkfResult.
+    The fields are those of the result, EkfFigures.
 
     updates: of measurements. updates_with_passive: those that left some landmarks passive.
     active_share: of all states, mean over the updates. global_updates: that carried something over.

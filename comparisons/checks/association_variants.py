@@ -11,7 +11,7 @@ research/trust/association.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from comparisons.checks.association import (
     counterparts,
     differing_measurements,
 )
+from comparisons.checks.finding import Of
 from comparisons.figures import Figure, in_sigma
 from comparisons.plane import pose_difference, rms
 from comparisons.statistics import squared_distance
@@ -150,6 +151,18 @@ class AssociationCheck:
             f"{variant.apart_m:.2f} m ({variant.apart_sigma:.1f} sigma); disputed measurements: "
             f"{named}{more}"
         )
+
+
+class AssociationVariants(Of[AssociationCheck]):
+    """How the smoother's association compares with others."""
+
+    def __init__(self, checked: AssociationCheck) -> None:
+        """checked: all others."""
+        super().__init__(checked, entries={"association_check": checked})
+
+    def rows(self) -> Sequence[Row]:
+        """Return rows of the table."""
+        return self.value.rows()
 
 
 def check_association(

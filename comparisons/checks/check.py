@@ -69,6 +69,27 @@ class Check(Question["Known"]):
     """One question about a job on a log."""
 
 
+class About(Question["Known"]):
+    """What the gaps of a job are of: it judges nothing, and finds a `Basis` in every such job."""
+
+    of = "a part of a job"
+    errs = "not at all: it judges nothing"
+
+
+class FromJob(Question["Known"]):
+    """What a job has found itself, in the place of a check."""
+
+    of = "a part of a job"
+
+    def __init__(self, name: str, finding: Finding) -> None:
+        """name: as of a check. finding: which reports show as those of checks."""
+        self.name, self._finding = name, finding
+
+    def find(self, known: Known) -> Finding:
+        """Return it."""
+        return self._finding
+
+
 @dataclass(frozen=True, repr=False)
 class Answers(Brief):
     """What checks find, once somebody wants to know it.
@@ -77,7 +98,7 @@ class Answers(Brief):
     """
 
     before: Known
-    checks: Sequence[Check]
+    checks: Sequence[Question[Known]]
 
     @cached_property
     def known(self) -> Known:

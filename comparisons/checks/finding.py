@@ -7,7 +7,7 @@ knows no check by name.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 from comparisons.words import Row
 
@@ -77,6 +77,33 @@ class Of(Finding, Generic[V]):
         self.value, self.causes, self.remarks, self.entries = value, causes, remarks, entries or {}
 
 
+class Basis(Of[V]):
+    """What a job has, of which its gaps are; in every table its rows come first."""
+
+
+class Tabled(Protocol):
+    """Figures that say how tables have them."""
+
+    def rows(self) -> list[Row]:
+        """Return rows of the table."""
+
+
+B = TypeVar("B", bound=Tabled)
+
+
+class JobPart(Basis[B]):
+    """Figures that are an entry of the result, with the rows that they say."""
+
+    def __init__(self, key: str, value: B, *lines: tuple[str, str]) -> None:
+        """key: of the entry. lines: as of `Finding`."""
+        super().__init__(value, entries={key: value})
+        self.lines = lines
+
+    def rows(self) -> Sequence[Row]:
+        """Return rows of the table."""
+        return self.value.rows()
+
+
 class OfFilter(Of[V]):
     """What is found of a filter by itself, and first decides about it; its remarks come first."""
 
@@ -113,14 +140,19 @@ class Findings:
         )
         return [remark for finding in findings for remark in finding.remarks]
 
-    @property
-    def rows(self) -> list[Row]:
-        """Return the rows of all findings, and which other checks have none, by the reason."""
-        found = [row for finding in self.findings.values() for row in finding.rows()]
+    def rows(self, between: Sequence[Row] = ()) -> list[Row]:
+        """Return the rows of all findings, and which other checks have none, by the reason.
+
+        between: rows that stand below those of log and estimates, and above those of checks.
+        """
+        first = [f for f in self.findings.values() if isinstance(f, Basis)]
+        others = [f for f in self.findings.values() if not isinstance(f, Basis)]
+        basis, found = ([row for f in part for row in f.rows()] for part in (first, others))
         missing: dict[str, list[str]] = {}
         for key, why in self.absent.items():
             missing.setdefault(why, []).append(key.replace("_", " "))
-        return [*found, *(Row("Not checked", ", ".join(n), why) for why, n in missing.items())]
+        unchecked = [Row("Not checked", ", ".join(n), why) for why, n in missing.items()]
+        return [*basis, *between, *found, *unchecked]
 
     @property
     def lines(self) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from pydantic import computed_field
@@ -30,6 +30,8 @@ from comparisons.words import Cause
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
+
+V = TypeVar("V", bound=Verdict)
 
 TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
 CONTRADICTED = "positions contradict"
@@ -240,14 +242,14 @@ def against_optimum(gap: TruthGap | None, unused: UnusedPositions | None) -> dic
 
 
 def qualified(
-    verdict: Verdict,
+    verdict: V,
     gap: TruthGap | None,
     *,
     unchecked: str,
     consistency: Consistency | None,
     fail_on: Sequence[FailOn],
     unused: UnusedPositions | None = None,
-) -> Verdict:
+) -> V:
     """Return the verdict with its qualifiers, and with what it fails on.
 
     That is what `fail_on` names, and positions that contradict the optimum. unchecked: why nobody

@@ -15,7 +15,6 @@ from comparisons.checks.diagnosis.departure import departure_from
 from comparisons.checks.diagnosis.diagnosis import FEWEST
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.unused_positions import UnusedPositionsFinding
-from comparisons.checks.verdict import Verdict
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
@@ -73,7 +72,8 @@ def check(
         result = _with_departure(grader, explained(grader, result, READINGS) or result)
     instants_s = result.solution.prepared.timeline.instants_s()
     digits = rounded(given.time_s, on_file_clock(given.time_s, log, instants_s))
-    return _qualified(replace(remarked(result, aligned, digits), log=log))
+    before = replace(result.before, source=log)
+    return _qualified(replace(remarked(result, aligned, digits), before=before))
 
 
 def _aligned(grader: Grader, given: ExternalEstimate) -> tuple[ExternalEstimate, str]:
@@ -177,27 +177,17 @@ def _to_leave(grader: Grader, external_check: ExternalCheck) -> list[Reference]:
 def _qualified(external_check: ExternalCheck) -> ExternalCheck:
     """Say what a reader of the outcome must know as well, by what the checks find."""
     known = external_check.known
-    verdict = Verdict(
-        outcome=external_check.outcome, causes=external_check.causes, remarks=external_check.remarks
-    )
     consistency, beside = known.value(ConsistencyFinding), known.remarks
     if external_check.reproduced and consistency is not None and consistency.remarks:
         beside = [one for one in beside if one not in consistency.remarks]
         external_check = replace(
             external_check, consequences=(*external_check.consequences, "consistency")
         )
-    judged = qualified(
-        replace(verdict, remarks=(*external_check.remarks, *beside)),
+    return qualified(
+        replace(external_check, before=known, remarks=(*external_check.remarks, *beside)),
         known.value(TruthGapFinding),
         unchecked="",
         consistency=consistency,
         unused=known.value(UnusedPositionsFinding),
         fail_on=(),
-    )
-    return replace(
-        external_check,
-        causes=judged.causes,
-        remarks=judged.remarks,
-        qualifiers=judged.qualifiers,
-        inconsistent=judged.inconsistent,
     )

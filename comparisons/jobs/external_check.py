@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, cast
 
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
-from comparisons.checks.check import Answers
+from comparisons.checks.check import Answers, FromJob
 from comparisons.checks.consistency.consistency import ExternalConsistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.diagnosis.estimate_facts import UndoneMotion
 from comparisons.checks.external_agreement import ExternalAgreement, TimeCoverage, within_log
 from comparisons.checks.grade import Graded, Likeness
-from comparisons.checks.verdict import Outcome
+from comparisons.checks.registry import BASIS, CHECKS
+from comparisons.checks.smoother import AboutSmoother
+from comparisons.checks.verdict import Verdict
 from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.estimates.reference import Reference
 from comparisons.jobs.external_trace import TraceCheck
-from comparisons.logs.log import Log
+from comparisons.jobs.grade import GradeFinding
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.solve import Solution
 from comparisons.shown import Shown, render
-from comparisons.words import Cause
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExternalCheck(Shown):
-    """Hold what the check of an external estimate found.
+class ExternalCheck(Shown, Verdict):
+    """Hold what the check of an external estimate found, which is a verdict.
 
     Attributes:
         given: The estimate that was checked.
@@ -46,14 +48,13 @@ class ExternalCheck(Shown):
             filter with this fault equals the estimate.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
-        log: As it was read, where the solution's has other integration or times.
         reproduced: A filter with the fault that is the first cause equals all of it, so that its
             other figures follow from that.
         grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
         outcome: `agree`, `disagree` or `unverified`.
         causes: Why the grade is not higher, the most important first.
         remarks: What narrows the verdict.
-        answers: Of the checks, when they are asked for.
+        before: What is known of log and estimate before the checks are asked.
         qualifiers: What a reader of the outcome must know as well.
         inconsistent: What of its consistency is outside its band, None where nothing shows it.
     """
@@ -69,15 +70,9 @@ class ExternalCheck(Shown):
     coverage: TimeCoverage
     trace: TraceCheck | None
     grade: Graded
-    outcome: Outcome
-    causes: tuple[Cause, ...]
-    remarks: tuple[str, ...]
-    answers: Answers
-    qualifiers: tuple[str, ...] = ()
-    inconsistent: tuple[str, ...] | None = None
+    before: Known
     departure: Departure | None = None
     consequences: tuple[str, ...] = ()
-    log: Log | None = None
     reproduced: bool = False
 
     def __repr__(self) -> str:
@@ -86,10 +81,21 @@ class ExternalCheck(Shown):
         name, grade = self.solution.log.name, self.grade.value or "none"
         return f"<ExternalCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
 
-    @property
+    @cached_property
     def known(self) -> Known:
-        """What is known of log and estimate, with what the checks find."""
-        return self.answers.known
+        """What is known of log and estimate, with the grade and what the checks find."""
+        grade = FromJob("grade", GradeFinding(self))
+        return Answers(self.before, (*BASIS, AboutSmoother(), grade, *CHECKS)).known
+
+    @property
+    def grade_words(self) -> str:
+        """The grade, and what it is like; why there is none."""
+        return GradeFinding(self).words
+
+    @property
+    def is_short(self) -> bool:
+        """Whether it has no grade since too little of the log is covered."""
+        return self.outcome == "disagree" and any(one.gap == "coverage" for one in self.causes)
 
     @property
     def consistency(self) -> ExternalConsistency:

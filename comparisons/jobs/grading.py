@@ -16,7 +16,6 @@ from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import FILTER_FAULTS
-from comparisons.checks.check import Answers
 from comparisons.checks.diagnosis.diagnosis import FEWEST
 from comparisons.checks.diagnosis.estimate_facts import (
     Clues,
@@ -44,7 +43,6 @@ from comparisons.checks.grade import (
     nearer,
     outcome_of,
 )
-from comparisons.checks.registry import CHECKS
 from comparisons.checks.verdict import Outcome
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade, SolveConfig
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
@@ -212,7 +210,7 @@ def check_external(
         outcome="disagree",
         causes=causes,
         remarks=(),
-        answers=Answers(_known(solution, traced, judged), CHECKS),
+        before=_known(solution, traced, judged),
     )
     return _with_outcome(check, unlike)
 

@@ -9,20 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.arrays import Array
 from comparisons.audit.own_filter import watch
-from comparisons.audit.spurious import Learnt
 from comparisons.checks.accuracy import Accuracies, AccuracyFinding
 from comparisons.checks.agreement import Agreement
-from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.finding import Finding
-from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
-from comparisons.checks.registry import CHECKS, EXPLAINING
-from comparisons.checks.spurious import SpuriousFinding
+from comparisons.checks.gaps import GapsFinding
+from comparisons.checks.qualifiers import TruthGapFinding, qualified
+from comparisons.checks.registry import BASIS, CHECKS, EXPLAINING, OF_RUN
 from comparisons.checks.unused_positions import UnusedPositionsFinding
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import RunConfig, config_class
@@ -31,7 +28,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.extension import Extension
-from comparisons.pipeline.gaps import Gaps, compute_gaps, optimum_of
+from comparisons.pipeline.gaps import compute_gaps, optimum_of
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
@@ -104,11 +101,6 @@ class Comparison(Shown):
         return self.known.ekf
 
     @property
-    def gaps(self) -> Gaps:
-        """The chain of estimates from the EKF to the smoother."""
-        return self.known.gaps
-
-    @property
     def log(self) -> Log:
         """The log as the estimators read it."""
         return self.prepared.log
@@ -116,27 +108,22 @@ class Comparison(Shown):
     @property
     def smoother(self) -> SmootherEvidence:
         """The smoother, with the evidence for its optimum."""
-        return self.gaps.result
+        return self.known.result
 
     @property
     def smoothed(self) -> Estimate:
         """The smoother's estimate."""
-        return self.gaps.smoothed
+        return self.known.smoothed
 
     @property
     def agreement(self) -> Agreement:
         """The gaps between the estimates."""
-        return self.gaps.agreement
+        return self.find(GapsFinding).value
 
     @property
     def findings(self) -> Mapping[str, Finding]:
         """Of the checks, those of extensions among them, by name."""
         return self.known.findings
-
-    @property
-    def dead_reckoned(self) -> Array:
-        """(K, 3) poses where the odometry alone leads."""
-        return self.known.dead_reckoned
 
     @property
     def consistency(self) -> Consistency:
@@ -148,21 +135,6 @@ class Comparison(Shown):
         """Errors of each estimate. Raises LookupError where the log has no reference."""
         accuracies: Accuracies = self.find(AccuracyFinding).entries["accuracy"]
         return accuracies
-
-    @property
-    def spurious(self) -> Learnt | None:
-        """What the filter learnt of its heading without measuring it; None if it was surveyed."""
-        return self.known.value(SpuriousFinding)
-
-    @property
-    def association(self) -> AssociationScore | None:
-        """The filter's association by labels; None where it used them, or there are none."""
-        return self.known.value(AssociationFinding)
-
-    @property
-    def truth_gap(self) -> TruthGap | None:
-        """The smoother against truth or labels; None where the log has none."""
-        return self.known.value(TruthGapFinding)
 
     def find(self, kind: type[F]) -> F:
         """Return the finding of a check.
@@ -180,11 +152,6 @@ class Comparison(Shown):
             if isinstance(finding, kind):
                 return finding
         raise LookupError(f"the run has no {kind.__name__}")
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """Wall time by stage."""
-        return self.prepared.clock.seconds
 
 
 def compare(
@@ -238,7 +205,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             except InputError as error:
                 unchecked = f"the association is unchecked: {error}"
     progress("checks", 0, 0)
-    known = Answers(own, (*CHECKS, *EXPLAINING)).known
+    known = Answers(own, (*BASIS, *OF_RUN, *CHECKS, *EXPLAINING)).known
     with clock.stage("checks"):
         return _judged(known, unchecked)
 

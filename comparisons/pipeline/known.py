@@ -20,7 +20,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
 from comparisons.innovations import SensorInnovations
-from comparisons.logs.log import Positions
+from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.beside import BackgroundCall
 from comparisons.pipeline.gaps import Gaps, Optimum
 from comparisons.pipeline.prepared import Prepared
@@ -54,6 +54,8 @@ class Known(Findings, Brief):
 
     Attributes:
         prepared: The log as the estimators read it, and the configuration.
+        name: Of the job, where its configuration is that of another.
+        source: The log as it was read; None where the estimators read it so.
         landmark_index: (M,) the landmark of each measurement, negative for unused.
         timeline: Of the estimates.
         positions: Absolute positions that they fuse.
@@ -72,6 +74,8 @@ class Known(Findings, Brief):
     """
 
     prepared: Prepared[Any]
+    name: str = ""
+    source: Log | None = None
     landmark_index: Index
     timeline: Timeline
     positions: Positions | None
@@ -86,6 +90,16 @@ class Known(Findings, Brief):
     started: Mapping[str, BackgroundCall[Any]] = field(default_factory=dict)
     findings: dict[str, Finding] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def job(self) -> str:
+        """The job's name, which its result's file and its page have."""
+        return self.name or self.prepared.config.job
+
+    @property
+    def log(self) -> Log:
+        """The log as it was read."""
+        return self.source or self.prepared.log
 
     @property
     def ekf(self) -> EkfRun:

@@ -18,10 +18,14 @@ from comparisons.adapters.smoother_input import (
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.association import AssociationFinding, AssociationScore
-from comparisons.checks.association_variants import AssociationCheck, check_association
-from comparisons.checks.check import Answers
+from comparisons.checks.association_variants import (
+    AssociationCheck,
+    AssociationVariants,
+    check_association,
+)
+from comparisons.checks.check import Answers, FromJob, Question
 from comparisons.checks.optimum import lacking
-from comparisons.checks.registry import CHECKS
+from comparisons.checks.registry import BASIS, CHECKS, OF_SOLUTION
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -103,7 +107,11 @@ class Solution(Shown):
             timeline=self.prepared.timeline,
             positions=self.prepared.positions,
         )
-        return Answers(known, CHECKS)
+        checks: list[Question[Known]] = [*BASIS, *OF_SOLUTION, *CHECKS]
+        if self.association_check is not None:
+            variants = AssociationVariants(self.association_check)
+            checks.append(FromJob("association_check", variants))
+        return Answers(known, checks)
 
     @property
     def known(self) -> Known:

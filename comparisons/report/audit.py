@@ -149,7 +149,7 @@ def audit_rows(known: KnownEvents) -> list[Row]:
         Row("Trace", "updates", f"{audit.updates:,}"),
         Row("Trace", "snapshots", f"{audit.snapshots:,}"),
         Row("Trace", "blocks, ever", f"{len(audit.blocks):,}"),
-        *known.rows,
+        *known.rows(),
     ]
 
 

@@ -2,49 +2,34 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, landmark_errors
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
-    BlockAgreement,
-    LandmarkAgreement,
-    Together,
     largest_distance,
 )
 from comparisons.checks.causes import FILTER_FAULTS, SYMPTOMS
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
-from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
+from comparisons.checks.grade import LIKE_SIGMA, match_map
+from comparisons.checks.smoother import SmootherFigures
+from comparisons.estimates.estimate import Estimate
 from comparisons.figures import (
-    METRES,
     Count,
-    LeftOut,
-    Less,
-    Model,
-    More,
-    Named,
-    Nominal,
-    band,
-    finite,
-    in_sigma,
-    percent,
-    rows_of,
-    shown,
 )
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.external_trace import TraceCheck
+from comparisons.jobs.grade import GradeFigures
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.known import Known
 from comparisons.report.figures.run import map_figure
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.map import (
     MapContent,
@@ -54,41 +39,19 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, facts_of, write_page
+from comparisons.report.html.page import PageContent
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.job import Report
+from comparisons.report.job_report import JobReport, judged_entries
 from comparisons.report.ladder import SMOOTHER, LadderStep, gap_steps
-from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import SmootherResult, VerdictResult
+from comparisons.report.marks import DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR, Panel
+from comparisons.report.models import VerdictResult
 from comparisons.report.panels import external_panels, filters_compared
-from comparisons.report.rows import (
-    agreeing,
-    block_rows,
-    gap_rows,
-    log_rows,
-    pose_words,
-    seconds_rows,
-    smoother_rows,
-)
-from comparisons.report.sections import (
-    about_job,
-    about_log,
-    found_entries,
-    job_page,
-    smoother_result,
-)
-from comparisons.report.settings import (
-    setting_lines,
-    settings_rows,
-)
+from comparisons.report.rows import gap_rows
 from comparisons.report.terminal import Summary
-from comparisons.report.track_errors import track_errors
-from comparisons.words import Row, cause_name
+from comparisons.words import DEPARTURE, Row, cause_name
 from ekf_reference.core.landmark_types import POINT
 
 EXTERNAL = "external estimate"
-NOT_STATED = "not stated"
-"""In place of what an estimate's poses know of the log."""
 
 
 def _landmark_table(
@@ -197,7 +160,6 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
         view=[smoothed.pose[:, :2], smoothed.landmark],
         beneath=beneath,
         above=() if check.departure is None else (partial(_mark, check.departure),),
-        errors=track_errors(check.known),
     ), marked
 
 
@@ -207,66 +169,7 @@ def _mark(left: Departure, drawing: Drawing) -> None:
     drawing.marks(*look, place, [str(left)], [DEPARTURE], [DEPARTURE_COLOUR])
 
 
-def _check_rows(known: Known, result: CheckResult) -> list[Row]:
-    """Log, smoother and agreement, then what the checks found, and what they lack."""
-    return [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *smoother_rows(result.smoother),
-        *_estimate_rows(result),
-        *_agreement_rows(result),
-        *gap_rows(check_ladder(result) if result.trace else ()),
-        *known.rows,
-    ]
-
-
-def _estimate_rows(result: CheckResult) -> list[Row]:
-    grade_in = None if result.verdict == "unverified" else result.verdict == "agree"
-    rows = [
-        Row("Estimate", "grade", _grade_words(result), f">= {result.required}", grade_in),
-        *rows_of("Estimate", result, ["poses", "information", "coverage"]),
-    ]
-    if (nearest := result.nearest) is not None:
-        far = "largest difference of a mean from the nearest reference"
-        rows += rows_of("Estimate", nearest)
-        rows.append(Row("Estimate", far, in_sigma(nearest.largest_sigma)))
-        if nearest.variance_ratio_least is not None:
-            ends = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
-            ratios = band(*(shown(value, ".4g") for value in ends))
-            rows.append(Row("Estimate", "variances, estimate over nearest reference", ratios))
-    if (left := result.departure) is not None:
-        rows.append(
-            Row("Estimate", DEPARTURE, f"from {left.what}, at {left.time_s:.9g} s, {left.event}")
-        )
-    return rows
-
-
-def _agreement_rows(result: CheckResult) -> list[Row]:
-    path = ["rms_m", "rms_heading_rad", "outside"]
-    rows = rows_of("Path, estimate and smoother", result, path)
-    if result.last_pose is not None:
-        rows += block_rows("Last pose", "estimate", result.last_pose)
-    return [*rows, *agreeing(result.landmarks, "estimate")]
-
-
-def _grade_words(result: CheckResult) -> str:
-    name = result.nearest.name if result.nearest else ""
-    return {
-        "equal": f"equal to {name}",
-        "like": f"like {name}",
-        "plausible": "plausible",
-        "wrong": "wrong",
-        None: "none: too little of the log is covered"
-        if _short(result)
-        else "none: optimum not verified",
-    }[result.grade]
-
-
-def _short(result: CheckResult) -> bool:
-    return any(cause.gap == "coverage" for cause in result.causes) and result.verdict == "disagree"
-
-
-def _verdict_words(result: CheckResult) -> str:
+def _verdict_words(check: ExternalCheck, result: CheckResult) -> str:
     """The grade, and what was asked for, as sentences."""
     nearest = result.nearest.name if result.nearest else ""
     grade = {
@@ -277,7 +180,7 @@ def _verdict_words(result: CheckResult) -> str:
         if any(cause.gap in FILTER_FAULTS for cause in result.causes)
         else "The estimate is wrong: it is like no reference and far from the optimum.",
         None: "There is no grade: too little of the log is covered."
-        if _short(result)
+        if check.is_short
         else "There is no grade: the smoother's optimum or its association is not verified.",
     }[result.grade]
     causes = " The causes, the most important first:" if result.causes else ""
@@ -286,7 +189,8 @@ def _verdict_words(result: CheckResult) -> str:
 
 def _facts(result: CheckResult) -> list[tuple[str, str]]:
     """What the grade rests on, in a few lines."""
-    optimum = "verified" if result.smoother.verified else f"not verified: {result.smoother.lacks}"
+    smoother = result.smoother
+    optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
     facts = [
         ("Smoother's optimum", optimum),
         ("Poses", f"{result.poses:,}, {result.rms_m:.3f} m from the smoother's (RMS)"),
@@ -298,101 +202,24 @@ def _facts(result: CheckResult) -> list[tuple[str, str]]:
     return facts
 
 
-def _nearest(likeness: Likeness | None) -> NearestResult | None:
-    if likeness is None:
-        return None
-    low, high = likeness.variances or (None, None)
-    return NearestResult(
-        name=likeness.reference.name,
-        largest_sigma=finite(likeness.sigma),
-        variance_ratio_least=low,
-        variance_ratio_largest=None if high is None else finite(high),
-        parts=[part.name for part in likeness.parts],
-        missing=[*likeness.missing, *likeness.unmapped],
-    )
-
-
-def _turned(angle_rad: float) -> str:
-    return f"{math.degrees(angle_rad):.3g} deg"
-
-
-class NearestResult(Model):
-    """The reference that the estimate is nearest to.
-
-    See comparisons.checks.grade.Likeness.
-
-    Attributes:
-        name: name of the reference.
-        largest_sigma: largest difference of any mean, in sigma.
-        variance_ratio_least: least variance over the reference's, of all poses, landmarks and
-            directions; None without covariances.
-        variance_ratio_largest: largest such ratio; None without covariances.
-        parts: parts of the estimate that were compared.
-        missing: parts that the estimate does not have.
-    """
-
-    name: Annotated[str, Named("nearest reference", "{}")]
-    largest_sigma: Less[float | None]
-    variance_ratio_least: Nominal[float | None]
-    variance_ratio_largest: Nominal[float | None]
-    parts: list[str]
-    missing: list[str]
-
-
-class CheckResult(VerdictResult):
+class CheckResult(GradeFigures, VerdictResult):
     """`check.json`: an external estimate compared with reference filters and with the smoother.
 
     Attributes:
         smoother: the smoother.
         association_by: who associated.
-        information: what a pose of the estimate knows: filtered or smoothed.
-        estimator: kind of estimator, as the estimate says.
-        absent: parts that were not handed in.
-        poses: poses that were judged.
-        coverage: share of the log's time that the estimate covers.
-        uncovered_s: intervals that it does not cover.
-        rms_m: root mean square distance of the positions from the smoother's.
-        rms_heading_rad: root mean square difference of the headings.
-        outside: share of the poses beyond the 99.9 % region of their own covariance; None without
-            covariances.
-        last_pose: the last pose, compared with the smoother's.
-        landmarks: each landmark, compared with the smoother's.
-        estimate_sha256: hashes of the files that were judged, by name; empty where none were read.
         consistency: consistency of the estimate's covariances.
         accuracy: errors of the estimate.
         smoother_accuracy: errors of the smoother.
         trace: what the recorded equations say; None without a trace.
-        grade: how near to a reference EKF or to the optimum; None where it is not like any
-            reference and the optimum is not verified.
-        required: the lowest grade that agrees.
-        nearest: the nearest reference.
-        departure: where the estimate, or its trace, first leaves a sound filter; None where not.
     """
 
-    smoother: Count[SmootherResult]
+    smoother: Count[SmootherFigures]
     association_by: str
-    information: Annotated[str, Named("kind of poses (filtered, smoothed)", "{}")]
-    estimator: str
-    absent: list[str]
-    poses: Annotated[Count[int], Named("poses")]
-    coverage: Annotated[More[float], Named("coverage of the log's time", percent)]
-    uncovered_s: list[tuple[float, float]]
-    rms_m: Annotated[Less[float], Named("difference of the positions (rms)", METRES)]
-    rms_heading_rad: Annotated[Less[float], Named("difference of the headings (rms)", _turned)]
-    outside: Annotated[
-        Less[float | None], Named("poses beyond the 99.9 % region of their own covariance", percent)
-    ]
-    last_pose: BlockAgreement | None
-    landmarks: Together[tuple[LandmarkAgreement, ...]]
-    estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
     accuracy: Accuracy | None = None
     smoother_accuracy: Accuracy | None = None
     trace: Count[TraceCheck | None]
-    grade: Literal["equal", "like", "plausible", "wrong"] | None
-    required: Literal["equal", "like", "plausible"]
-    nearest: NearestResult | None
-    departure: LeftOut[Departure | None]
 
 
 def check_ladder(result: CheckResult) -> list[LadderStep]:
@@ -448,63 +275,45 @@ def _reference_steps(result: CheckResult) -> list[LadderStep]:
     ]
 
 
-class CheckReport(Report[ExternalCheck, CheckResult]):
+class CheckReport(JobReport[ExternalCheck, CheckResult]):
     """Report of `slamcheck check`."""
+
+    judged = "estimate"
 
     @staticmethod
     def build(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
         """The findings, read being the time that reading log and estimate took."""
-        agreement, solution = check.agreement, check.solution
         return CheckResult(
-            smoother=smoother_result(solution.result, solution.estimate),
-            association_by=solution.association_by,
-            information=check.given.information or NOT_STATED,
-            estimator=check.given.estimator,
-            absent=check.given.absent,
-            poses=len(agreement.time_s),
-            coverage=check.coverage.share,
-            uncovered_s=check.coverage.holes_s.tolist(),
-            rms_m=agreement.rms_m,
-            rms_heading_rad=agreement.rms_heading_rad,
-            outside=agreement.outside,
-            last_pose=agreement.last,
-            landmarks=agreement.landmarks,
-            estimate_sha256=dict(check.given.sha256),
+            association_by=check.solution.association_by,
             trace=check.trace,
-            grade=check.grade.value,
-            required=check.grade.required,
-            nearest=_nearest(check.grade.by),
-            departure=check.departure,
-            verdict=check.outcome,
-            qualifiers=list(check.qualifiers),
-            inconsistent=None if check.inconsistent is None else list(check.inconsistent),
-            causes=check.causes,
-            remarks=list(check.remarks),
-            **found_entries(check.known, CheckResult),
-            **about_job(solution.prepared, solution.prepared.clock.after(read), log=check.log),
+            **judged_entries(check.known, check, CheckResult, read),
         )
 
+    @property
+    def headline(self) -> str:
+        """The outcome and the grade."""
+        required = f" (required: {self.result.required})"
+        return f"{super().headline}; grade: {self.found.grade_words}{required}"
+
+    @property
+    def steps(self) -> Sequence[LadderStep]:
+        """The gaps of the estimate."""
+        return check_ladder(self.result)
+
+    @property
+    def job_rows(self) -> Sequence[Row]:
+        """Rows of its filter's gaps, where the estimate has a trace."""
+        return gap_rows(self.steps) if self.result.trace else []
+
     def summary(self) -> Summary:
-        """Return what the command prints: verdict and grade, gaps by the trace, agreement."""
-        result, known = self.result, self.found.known
-        agree = []
-        if result.landmarks:
-            count = sum(row.agrees for row in result.landmarks)
-            agree.append(f"{count} of {len(result.landmarks)} landmarks")
-        if result.last_pose is not None:
-            agree.append(pose_words(result.last_pose))
-        if len(agree) < 2:
-            agree.append(f"path {result.rms_m:.3f} m rms from smoother")
-        required = f" (required: {result.required})"
-        left = result.departure
+        """Return what the command prints; what the first cause explains stands behind it."""
+        result, left = self.result, self.result.departure
         elsewhere = [] if left is None else [str(left), left.briefly]
         departure = elsewhere[:1]
         explained = [cause_name(gap) for gap in self.found.consequences]
         symptom = bool(result.causes) and result.causes[0].gap in SYMPTOMS
-        return Summary(
-            headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
-            look=result.look,
-            causes=result.causes,
+        return replace(
+            super().summary(),
             explained=[DEPARTURE, *explained] if departure and explained else explained,
             reasons=departure if symptom else [],
             remarks=[
@@ -512,51 +321,53 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
                 for remark in result.remarks
                 if not ((symptom or explained) and remark in elsewhere)
             ],
-            steps=check_ladder(result),
-            lines=[
-                ("agreement", "; ".join(agree)),
-                *known.lines,
-            ],
-            rows=[
-                *_check_rows(known, result),
-                *seconds_rows(result.seconds, result.cpu_s),
-            ],
         )
 
-    def page(self) -> PageContent:
-        """Return what stands on the page."""
-        check, result = self.found, self.result
-        given, solution = check.given, check.solution
-        reported, panels = external_panels(check)
-        ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
-        map_content, marked = check_map(check, ours, theirs)
-        rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
-        off = "; ".join(result.inconsistent or ())
-        grade = "no grade" if result.grade is None else _grade_words(result)
+    @property
+    def curves(self) -> tuple[str, Sequence[Panel]]:
+        """Errors by truth and by the smoother, and innovations over time."""
+        return external_panels(self.found)
+
+    @property
+    def facts(self) -> Sequence[tuple[str, str]]:
+        """What the grade rests on."""
+        return _facts(self.result)
+
+    @cached_property
+    def _common(self) -> tuple[Index, Index]:
+        """Rows of the landmarks that the estimate and the smoother have."""
+        labelled = self.found.solution.prepared.labelled
+        return match_map(self.found.given, self.found.optimum, labelled=labelled)
+
+    @cached_property
+    def _map(self) -> tuple[MapContent, Index]:
+        return check_map(self.found, *self._common)
+
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: smoother, estimate, and filters beside it."""
+        return self._map[0]
+
+    def page(self, pictures: Sequence[Path] = ()) -> PageContent:
+        """Return what stands on the page. pictures: files of those that have been drawn."""
+        check, result, (ours, theirs) = self.found, self.result, self._common
+        shown = theirs[np.isin(theirs, self._map[1])]
+        rows, note = _landmark_table(check, result, ours, shown)
+        grade = "no grade" if result.grade is None else check.grade_words
         source = Path(str(result.config.get("estimate") or "arrays")).name
-        settings = setting_lines(solution.prepared.config, result.settings)
         return replace(
-            job_page(result, self.summary(), "check", map_content, (reported, panels), settings),
+            super().page(pictures),
             headline=f"{result.headline}, {grade}",
-            words=_verdict_words(result),
-            facts=[
-                *_facts(result),
-                *facts_of(check.known.lines, leave="consistency" if off else ""),
-            ],
-            about=f"estimate: {source}; log: {about_log(result.log)}",
-            notes=[f"The estimate is inconsistent: {off}."] if off else (),
+            words=_verdict_words(check, result),
+            about=f"estimate: {source}; log: {result.log.words}",
             landmarks=rows,
             landmarks_note=note,
         )
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written."""
-        check = self.found
-        return JobFolder(
-            name="check",
-            result=self.result,
-            config=check.solution.prepared.config,
-            estimates={"smoother": check.solution.estimate},
-            figures={"map": map_figure(check)},
-            files={"report.html": partial(write_page, self.page())},
-        )
+    @property
+    def estimates(self) -> Mapping[str, Estimate]:
+        """The smoother's, for the other one was handed in."""
+        return {"smoother": self.found.solution.estimate}
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map."""
+        return {"map": map_figure(self.found)}

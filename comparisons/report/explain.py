@@ -10,7 +10,7 @@ from typing import Any
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.check import Check, Question
-from comparisons.checks.registry import CHECKS, EXPLAINING
+from comparisons.checks.registry import BASIS, CHECKS, EXPLAINING, OF_RUN, OF_SOLUTION
 from comparisons.config import config_class
 from comparisons.errors import InputError
 from comparisons.extension_names import EXTENSIONS
@@ -25,6 +25,12 @@ def every_check(extensions: Iterable[str] = EXTENSIONS) -> Iterator[type[Check]]
     yield from map(type, (*CHECKS, *EXPLAINING))
     for name in extensions:
         yield resolve_name(config_class(name).extension)
+
+
+def job_parts() -> list[type[Question[Any]]]:
+    """Return what jobs have, of which their gaps are."""
+    parts = (*BASIS, *OF_RUN, *OF_SOLUTION)
+    return list(dict.fromkeys(type(part) for part in parts))
 
 
 def event_checks() -> list[type[Question[Any]]]:
@@ -53,13 +59,15 @@ def overview() -> str:
     own = len(asked) - len(EXTENSIONS)
     checks, more = asked[:own], asked[own:]
     events = [(check.name, _question(check)) for check in event_checks()]
+    parts = [(part.name, _question(part)) for part in job_parts()]
     causes = [(name, one.title) for name, one in every_explanation().items()]
-    longest = max(len(name) for name, _ in (*asked, *events, *causes)) + 2
+    longest = max(len(name) for name, _ in (*asked, *events, *parts, *causes)) + 2
     lines = []
     for title, rows in (
         ("Checks of a run:", checks),
         ("Checks on request, and sources of landmarks and motion:", more),
         ("Checks of an audit:", events),
+        ("What results have besides:", parts),
         ("Causes of a verdict:", causes),
     ):
         named = [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in rows]
@@ -76,7 +84,7 @@ def explanation(name: str) -> str:
     asked = _spoken(name)
     if asked == "faults":
         return composed_faults_in_words()
-    checks: list[type[Question[Any]]] = [*every_check(), *event_checks()]
+    checks: list[type[Question[Any]]] = [*every_check(), *event_checks(), *job_parts()]
     kinds = every_explanation()
     parts = ["\n".join(_of_check(check)) for check in checks if _spoken(check.name) == asked]
     asked = asked.removesuffix(" gap")

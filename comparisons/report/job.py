@@ -19,6 +19,7 @@ F = TypeVar("F")
 R = TypeVar("R")
 
 REPORTS = {
+    "Answers": "comparisons.report.job_report:AnswersReport",
     "Audit": "comparisons.report.audit:AuditReport",
     "Comparison": "comparisons.report.run:RunReport",
     "DenseMapping": "comparisons.extensions.dense_maps.report:MapReport",

@@ -17,7 +17,6 @@ TIME, EVENT = "time [s]", "event"
 """Axes that all curves over them share."""
 MOST_POINTS, DIGITS = 2000, 4
 """Of a curve on a page, and of its figures."""
-DEPARTURE = "first difference"
 DEPARTURE_COLOUR = "#7b4fa3"
 
 

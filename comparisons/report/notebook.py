@@ -10,14 +10,13 @@ from dataclasses import replace
 from functools import singledispatch
 from html import escape
 
+from comparisons.checks.log import LogFigures
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.report.html.map import MapContent, estimate_map, known_points
 from comparisons.report.html.page import PageContent, page
 from comparisons.report.job import report_of
 from comparisons.report.marks import SMOOTHER_COLOUR
-from comparisons.report.rows import log_rows
-from comparisons.report.sections import log_result
 
 
 def html(result: object) -> str:
@@ -47,7 +46,7 @@ def _(log: Log) -> PageContent:
         name=log.name,
         headline=f"{log.format}, {log.duration_s:,.1f} s",
         map=MapContent(log=log, tracks=(), view=known) if known else None,
-        rows=log_rows(log_result(log)),
+        rows=LogFigures.of(log).rows(),
     )
 
 

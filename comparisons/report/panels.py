@@ -24,7 +24,6 @@ from comparisons.innovations import SensorInnovations
 from comparisons.jobs.run import Comparison
 from comparisons.pipeline.known import Known
 from comparisons.report.marks import (
-    DEPARTURE,
     DEPARTURE_COLOUR,
     EKF_COLOUR,
     SCANS_COLOUR,
@@ -37,6 +36,7 @@ from comparisons.report.marks import (
     nis_panel,
 )
 from comparisons.statistics import mean_band
+from comparisons.words import DEPARTURE
 
 if TYPE_CHECKING:
     from comparisons.checks.consistency.consistency import Consistency, ExternalConsistency

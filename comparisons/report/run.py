@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -12,12 +12,10 @@ import numpy as np
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
-from comparisons.checks.agreement import BlockAgreement
-from comparisons.checks.position_gate import PositionsFinding
+from comparisons.checks.agreement import BlockAgreement, PlacedAgreement
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import NAMED
 from comparisons.pipeline.clock import Clock
-from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
 from comparisons.report.html.map import (
     MapContent,
@@ -26,35 +24,14 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, facts_of, write_page
+from comparisons.report.html.page import PageContent
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.job import Report
-from comparisons.report.ladder import ladder
-from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.job_report import JobReport, judged_entries
+from comparisons.report.ladder import LadderStep, ladder
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, Panel
 from comparisons.report.models import SCHEMA, Result
 from comparisons.report.panels import ConsistencyPanels, consistency_panels, further_estimates
-from comparisons.report.rows import (
-    AGREEING_RATIOS,
-    agreeing,
-    block_rows,
-    ekf_rows,
-    gap_rows,
-    log_rows,
-    pose_words,
-    seconds_rows,
-    smoother_rows,
-)
-from comparisons.report.sections import (
-    about_job,
-    ekf_result,
-    found_entries,
-    job_page,
-    smoother_result,
-)
-from comparisons.report.settings import setting_lines, settings_rows
-from comparisons.report.terminal import Summary
-from comparisons.report.track_errors import track_errors
-from comparisons.words import Row
+from comparisons.report.settings import setting_lines
 from ekf_reference.core.state import correlation_coefficients
 
 if TYPE_CHECKING:
@@ -69,31 +46,20 @@ _WORDS = {
 }
 
 
-class RunReport(Report[Comparison, Result]):
+class RunReport(JobReport[Comparison, Result]):
     """Report of `slamcheck run`: both estimators on one log."""
+
+    file = "result"
 
     @staticmethod
     def build(comparison: Comparison, read: Clock | None = None) -> Result:
         """Return the findings of a run, read being the time that reading the log took."""
-        c, fixes = comparison, comparison.known.value(PositionsFinding)
+        verdict = comparison.verdict
         return Result(
             schema_version=SCHEMA,
-            ekf=ekf_result(c.ekf, c.prepared, fixes),
-            smoother=smoother_result(c.smoother, c.smoothed),
-            agreement=replace(
-                c.agreement,
-                algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
-                model_limit_sigma=c.gaps.model_rounding.sigma,
-            ),
-            verdict=c.verdict.outcome,
-            summary=c.verdict.summary,
-            qualifiers=list(c.verdict.qualifiers),
-            inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
-            failed_on=list(c.verdict.failed_on),
-            causes=c.verdict.causes,
-            remarks=list(c.verdict.remarks),
-            **about_job(c.prepared, c.prepared.clock.after(read), c.prepared.ekf),
-            **found_entries(c.known, Result),
+            summary=verdict.summary,
+            failed_on=list(verdict.failed_on),
+            **judged_entries(comparison.known, verdict, Result, read),
         )
 
     @cached_property
@@ -106,137 +72,100 @@ class RunReport(Report[Comparison, Result]):
         """Return the word that decides the command's exit code."""
         return "disagree" if self.result.failed_on else self.result.verdict
 
-    def summary(self) -> Summary:
-        """Return what the command prints."""
+    @property
+    def headline(self) -> str:
+        """The outcome with its figures, and on what the run fails."""
         result = self.result
-        gaps = result.agreement
-        landmarks = [*gaps.landmarks, *gaps.pose_landmarks]
-        agree = sum(row.agrees for row in landmarks)
         failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
-        return Summary(
-            headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
-            look=result.look,
-            causes=result.causes,
-            remarks=result.remarks,
-            steps=ladder(result),
-            lines=[
-                *_known_example(result),
-                (
-                    "agreement",
-                    f"{agree} of {len(landmarks)} landmarks "
-                    f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
-                ),
-                *self.found.known.lines,
-            ],
-            rows=[*run_rows(self.found, result), *seconds_rows(result.seconds, result.cpu_s)],
-        )
+        return f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}"
+
+    @property
+    def lines(self) -> Sequence[tuple[str, str]]:
+        """What is known of the log, where that explains the outcome."""
+        return _known_example(self.result)
+
+    @property
+    def steps(self) -> Sequence[LadderStep]:
+        """The gaps from the EKF down to the truth."""
+        return ladder(self.result)
+
+    @property
+    def curves(self) -> tuple[str, Sequence[Panel]]:
+        """Errors, NEES, distances and innovations over time."""
+        return self.panels.reported, self.panels.every
+
+    @property
+    def facts(self) -> Sequence[tuple[str, str]]:
+        """What the verdict rests on."""
+        return _facts(self.result, [*self.result.agreement.landmarks, *self._scan_landmarks])
+
+    @property
+    def _scan_landmarks(self) -> list[PlacedAgreement]:
+        return [row for finding in self.found.findings.values() for row in finding.landmarks()]
+
+    @cached_property
+    def _marked(self) -> Index:
+        """Rows of the landmarks that the map and its table have."""
+        blocks = self.found.agreement.landmarks
+        return farthest(np.array([block.distance_sigma for block in blocks]))
+
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: both estimates and those of the extensions."""
+        return run_map(self.found, self._marked)
 
     def page(self, pictures: Sequence[Path] = ()) -> PageContent:
         """Return what stands on the page. pictures: files of those that have been drawn."""
-        result, panels = self.result, self.panels
-        c, a = self.found, result.agreement.landmarks
-        ekf, view = c.ekf.estimate, c.findings.values()
-        marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
+        result, c, content = self.result, self.found, super().page(pictures)
+        ekf, a, marked = c.ekf.estimate, result.agreement.landmarks, self._marked
         labelled = c.prepared.labelled
         errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
         names = ekf.names
         rows = [LandmarkRow(str(a[i].id), names[i], a[i], errors[i]) for i in marked.tolist()]
-        scan = [row for finding in view for row in finding.landmarks()]
-        rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
-        inconsistent = "; ".join(result.inconsistent or ())
-        curves = panels.reported, panels.every
-        settings = setting_lines(c.prepared.config, result.settings, c.prepared.ekf)
+        rows += [LandmarkRow(f"s{r.id}", f"scan {r.id}", r) for r in self._scan_landmarks]
+        correlations = {
+            name: correlation_coefficients(estimate.joint_covariance)
+            for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
+        }
         return replace(
-            job_page(result, self.summary(), "run", run_map(c, marked), curves, settings),
+            content,
             headline=result.headline,
             words=_WORDS[result.verdict],
-            facts=[
-                *facts_of(_known_example(result)),
-                *_facts(result, [*a, *scan]),
-                *facts_of(c.known.lines, leave="consistency" if inconsistent else ""),
-            ],
-            notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
-            curves_file="consistency.png" if c.prepared.config.report.figures else "",
-            pictures=pictures,
-            sections=[
-                heat_maps(
-                    "Correlation coefficients",
-                    {
-                        name: correlation_coefficients(estimate.joint_covariance)
-                        for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
-                    },
-                ),
-                *(section for finding in view for section in finding.sections()),
-            ],
+            curves_file="consistency.png" if self.formats else "",
+            sections=[heat_maps("Correlation coefficients", correlations), *content.sections],
             landmarks=rows,
             landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
+            settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),
         )
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written."""
-        c, config = self.found, self.found.prepared.config
-        view = c.findings.values()
-        own = {name: figure for finding in view for name, figure in finding.figures().items()}
+    @property
+    def formats(self) -> Collection[str]:
+        """In which the pictures are asked for."""
+        return self.found.prepared.config.report.figures
 
-        def write(path: Path) -> None:
-            pictures = [path.with_name(f"{name}.png") for name in own]
-            write_page(self.page(pictures), path)
-
-        files: dict[str, Callable[[Path], object]] = {"report.html": write}
-        if config.report.trace:
-            from comparisons.audit.own_filter import write_run
-            from comparisons.estimates.planar_trace import TRACE
-
-            files[f"ekf/{TRACE}"] = lambda path: write_run(c.ekf, path)
-        return JobFolder(
-            name="result",
-            result=self.result,
-            config=config,
-            estimates={
-                "ekf": c.ekf.estimate,
-                "smoother": c.smoothed,
-                **{
-                    name: estimate
-                    for finding in view
-                    for name, estimate in finding.estimates.items()
-                },
-            },
-            formats=config.report.figures,
-            figures={**(_figures(c, self.panels) if config.report.figures else {}), **own},
-            files=files,
+    def figures(self) -> Mapping[str, Figure]:
+        """Return as pictures what the page draws in any case, where pictures are asked for."""
+        if not self.formats:
+            return {}
+        from comparisons.report.figures.run import (
+            consistency_figure,
+            correlation_figure,
+            map_figure,
         )
 
+        return {
+            "map": map_figure(self.found),
+            "correlation": correlation_figure(self.found),
+            "consistency": consistency_figure(self.found, self.panels),
+        }
 
-def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Figure]:
-    """Return as figures what the page draws in any case, by name."""
-    from comparisons.report.figures.run import consistency_figure, correlation_figure, map_figure
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return the filter's trace, where that is asked for."""
+        if not self.found.prepared.config.report.trace:
+            return {}
+        from comparisons.audit.own_filter import write_run
+        from comparisons.estimates.planar_trace import TRACE
 
-    return {
-        "map": map_figure(comparison),
-        "correlation": correlation_figure(comparison),
-        "consistency": consistency_figure(comparison, panels),
-    }
-
-
-def run_rows(comparison: Comparison, result: Result) -> list[Row]:
-    """Return log, evidence and gaps, then what the checks found, and what they lack."""
-    gaps = result.agreement
-    return [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *ekf_rows(result.ekf),
-        *smoother_rows(result.smoother),
-        *gap_rows(ladder(result)),
-        *agreeing(gaps.landmarks, "EKF"),
-        Row(
-            "Map, EKF and smoother",
-            "difference of the landmarks (rms)",
-            f"{gaps.landmark_difference_rms_m:.3f} m",
-        ),
-        *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
-        *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
-        *comparison.known.rows,
-    ]
+        return {f"ekf/{TRACE}": lambda path: write_run(self.found.ekf, path)}
 
 
 def _known_example(result: Result) -> list[tuple[str, str]]:
@@ -249,13 +178,10 @@ def _known_example(result: Result) -> list[tuple[str, str]]:
 
 def _facts(result: Result, landmarks: Sequence[BlockAgreement]) -> list[tuple[str, str]]:
     """What the verdict rests on, beside the lines of findings. landmarks: that both have."""
-    gaps, smoother = result.agreement, result.smoother
+    gaps = result.agreement
     agreeing = sum(row.agrees for row in landmarks)
-    optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
-    if smoother.dof:
-        optimum += f"; chi-square {smoother.chi2:,.0f} for {smoother.dof:,} degrees of freedom"
     return [
-        ("Smoother's optimum", optimum),
+        ("Smoother's optimum", result.smoother.optimum),
         (
             "Last pose",
             f"{gaps.pose.difference_m:.3f} m apart, {gaps.pose.distance_sigma:.2g} sigma",
@@ -302,5 +228,4 @@ def run_map(c: Comparison, marked: Index) -> MapContent:
             *all_landmarks("all landmarks", ekf.landmark, marked),
         ],
         above=[finding.layers for finding in c.findings.values()],
-        errors=track_errors(c.known),
     )

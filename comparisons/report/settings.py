@@ -1,44 +1,13 @@
-"""Which of a run's settings are not the documents', as rows and an entry of the result."""
+"""Every setting of a job in words, for its page."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from comparisons.config import EkfConfig, JobConfig, SettingsGroup, setting_default
-from comparisons.documented.preset import differing
-from comparisons.documented.row import Value, shown
-from comparisons.figures import Model
-from comparisons.words import SETTINGS, Row
-
-
-class DifferingSetting(Model):
-    """A setting of the run that a document states at another value.
-
-    Attributes:
-        setting: name of the setting.
-        value: value of the run; in words where it follows from other settings.
-        document: value of the document.
-        place: where the document states it.
-    """
-
-    setting: str
-    value: Any
-    document: Value
-    place: str
-
-
-class SettingsResult(Model):
-    """Settings of the run that are not the documents'.
-
-    Attributes:
-        preset: value of `--preset`.
-        differing: settings that a document states at another value.
-    """
-
-    preset: str
-    differing: list[DifferingSetting]
+from comparisons.checks.settings import SettingsResult
+from comparisons.config import EkfConfig, JobConfig, SettingsGroup
+from comparisons.documented.row import shown
 
 
 class SettingLine(NamedTuple):
@@ -61,7 +30,7 @@ def setting_lines(
 ) -> list[SettingLine]:
     """Return every setting of a run, those that differ from the default first.
 
-    settings: what documents state at other values. ekf: as of settings_result.
+    settings: what documents state at other values. ekf: the filter's once nothing is left open.
     """
     stated = (
         {} if settings is None else {setting.setting: setting for setting in settings.differing}
@@ -100,47 +69,3 @@ def _leaves(section: SettingsGroup, below: str = "") -> Iterator[tuple[str, Any,
         else:
             usual = field.get_default(call_default_factory=True)
             yield path, value, usual, field.description or ""
-
-
-def settings_result(
-    config: JobConfig, log_format: str | None = None, ekf: EkfConfig | None = None
-) -> SettingsResult:
-    """Return how a run was set.
-
-    log_format: in which the log was read. ekf: the filter's settings once nothing is left open.
-    """
-    given = config.model_dump(mode="python")
-    given["log"]["format"] = log_format
-    if ekf is not None:
-        given["ekf"] = ekf.model_dump(mode="python")
-    settings = [
-        DifferingSetting(
-            setting=row.at,
-            value=row.absent if value is None else _in_json(value),
-            document=_in_json(row.value),
-            place=row.place,
-        )
-        for row, value in differing(given, setting_default)
-    ]
-    return SettingsResult(preset=config.preset, differing=settings)
-
-
-def _in_json(value: Any) -> Any:
-    """JSON has no infinity; a configuration in it has this word, too."""
-    return "Infinity" if value == math.inf else value
-
-
-def settings_rows(settings: SettingsResult) -> list[Row]:
-    """Return the preset, and each setting that a document states at another value."""
-    return [
-        Row(SETTINGS, "preset", settings.preset),
-        *(
-            Row(
-                SETTINGS,
-                setting.setting,
-                shown(setting.value),
-                f"{shown(setting.document)} in {setting.place}",
-            )
-            for setting in settings.differing
-        ),
-    ]

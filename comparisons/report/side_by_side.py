@@ -19,11 +19,12 @@ from rich.table import Table
 from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
+from comparisons.checks.smoother import SmootherFigures
 from comparisons.errors import InputError, outdated_format, printable, shorten
 from comparisons.figures import kept_fields, numbers
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.models import SCHEMA, Result, SmootherResult, found_numbers
+from comparisons.report.models import SCHEMA, Result, found_numbers
 
 if TYPE_CHECKING:
     from comparisons.checks.path_errors import PathErrors
@@ -70,7 +71,7 @@ _ASIDE = (
     "schema",
     "schema_version",
 )
-_SMOOTHER = kept_fields(SmootherResult).items()
+_SMOOTHER = kept_fields(SmootherFigures).items()
 _LEFT_OUT = {f"smoother.{name}" for name, one in _SMOOTHER if one.mark.side == "left out"}
 """Figures of any job that say nothing of what it found."""
 

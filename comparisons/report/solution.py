@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
+from matplotlib.figure import Figure
 
 from comparisons.checks.optimum import overstated
-from comparisons.figures import rounded, rows_of
+from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.run import map_figure
-from comparisons.report.folder import JobFolder
-from comparisons.report.html.map import Track, estimate_map
-from comparisons.report.html.page import PageContent, write_page
-from comparisons.report.job import Report
+from comparisons.report.html.map import MapContent, Track, estimate_map
+from comparisons.report.job_report import JobReport, optimum_entries
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
-from comparisons.report.models import PoseGraphResult, SolutionResult
-from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, known_page, optimum_findings, smoother_result
-from comparisons.report.settings import settings_rows
-from comparisons.report.terminal import Summary
-from comparisons.words import Row
+from comparisons.report.models import SolutionResult
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.optimum import ChiSquareTest
 
@@ -32,8 +24,10 @@ LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 
 
-class SolutionReport(Report[Solution, SolutionResult]):
+class SolutionReport(JobReport[Solution, SolutionResult]):
     """Report of `slamcheck solve`."""
+
+    file = "solution"
 
     @staticmethod
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
@@ -43,61 +37,39 @@ class SolutionReport(Report[Solution, SolutionResult]):
         if not s.is_misread:
             remarks += [remark for remark in s.known.remarks if remark not in s.lacks]
         return SolutionResult(
-            association_by=s.association_by,
-            landmarks=len(s.estimate.landmark),
-            measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
-            gps=s.prepared.ekf.gps,
-            smoother=smoother_result(s.result, s.estimate),
-            association_check=s.association_check,
-            pose_graph=_pose_graph(s),
             verdict="verified" if s.verified else "unverified",
             reasons=s.lacks,
-            **optimum_findings(s.known, SolutionResult, remarks),
-            **about_job(s.prepared, s.prepared.clock.after(read)),
+            **optimum_entries(s.known, SolutionResult, remarks, read),
         )
 
-    def summary(self) -> Summary:
-        """Return what the command prints: outcome, map, evidence and accuracy."""
-        result = self.result
-        measurements, smoother = result.log.records["measurements"], result.smoother
+    @property
+    def headline(self) -> str:
+        """The outcome, and whether sigmas are stated too large."""
+        smoother = self.result.smoother
+        test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
+        is_large = overstated(test) and not self.found.is_misread
+        return super().headline + (", sigmas too large" if is_large else "")
+
+    @property
+    def lines(self) -> Sequence[tuple[str, str]]:
+        """The map, and the optimum's chi-square."""
+        result, smoother = self.result, self.result.smoother
         tested = f"chi-square {rounded(smoother.chi2)}"
         if smoother.dof:
             low, high = smoother.chi2_band
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
-        used = "measurements used for the map"
-        test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
-        is_large = overstated(test) and not self.found.is_misread
-        too_large = ", sigmas too large" if is_large else ""
-        return Summary(
-            headline=f"verdict: {result.headline}{too_large}",
-            look=result.look,
-            reasons=result.reasons,
-            remarks=result.remarks,
-            lines=[
-                (
-                    "map",
-                    f"{result.landmarks:,} landmarks from {result.measurements_used:,} of "
-                    f"{measurements:,} measurements (association: {result.association_by})",
-                ),
-                ("optimum", f"{tested}, {smoother.poses:,} poses"),
-                *self.found.known.lines,
-            ],
-            rows=[
-                *log_rows(result.log),
-                *settings_rows(result.settings),
-                Row("Map", "landmarks", f"{result.landmarks:,}"),
-                Row("Map", used, f"{result.measurements_used:,} of {measurements:,}"),
-                Row("Map", "association", result.association_by),
-                *_pose_graph_rows(result),
-                *smoother_rows(smoother),
-                *self.found.known.rows,
-                *(result.association_check.rows() if result.association_check else ()),
-                *seconds_rows(result.seconds, result.cpu_s),
-            ],
-        )
+        return [
+            (
+                "map",
+                f"{result.landmarks:,} landmarks from {result.measurements_used:,} of "
+                f"{result.log.records['measurements']:,} measurements "
+                f"(association: {result.association_by})",
+            ),
+            ("optimum", f"{tested}, {smoother.poses:,} poses"),
+        ]
 
-    def page(self) -> PageContent:
-        """Return what stands on the page."""
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: the smoother, and where odometry alone leads."""
         s = self.found
         reckoned = Track(
             name="dead reckoning",
@@ -107,47 +79,21 @@ class SolutionReport(Report[Solution, SolutionResult]):
             pose=s.dead_reckoned,
             against_time=False,
         )
-        drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
-        config = s.prepared.config
-        return known_page(self.result, self.summary(), "solve", drawn, config, s.known)
+        return estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written."""
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map."""
+        return {"map": map_figure(self.found)}
+
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return the graph for other programs, and a small one as dot."""
         estimate, smoothed = self.found.estimate, self.found.result
         contents = G2oContents(
             smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
         )
-        files: dict[str, Callable[[Path], object]] = {
-            "report.html": partial(write_page, self.page())
-        }
+        files: dict[str, Callable[[Path], object]] = {}
         if holds(smoothed.problem):
             files["graph.g2o"] = lambda path: write_g2o(path, contents)
         if smoothed.values.size() <= LARGEST_DRAWN:
             files["graph.dot"] = lambda path: smoothed.graph.saveGraph(str(path), smoothed.values)
-        return JobFolder(
-            name="solution",
-            result=self.result,
-            config=self.found.prepared.config,
-            estimates={"smoother": estimate},
-            figures={"map": map_figure(self.found)},
-            files=files,
-        )
-
-
-def _pose_graph(solution: Solution) -> PoseGraphResult | None:
-    problem = solution.result.problem
-    if solution.log.loop_closures is None:
-        return None
-    return PoseGraphResult(
-        loop_closures=len(problem.loop_closures.first),
-        unmeasured=problem.pose_count - 1 - len(problem.steps),
-        initial_chi2=2.0 * solution.result.initial_error(),
-    )
-
-
-def _pose_graph_rows(result: SolutionResult) -> list[Row]:
-    graph = result.pose_graph
-    if graph is None:
-        return []
-    optimum = Row("Pose graph", "chi-square at the optimum", f"{result.smoother.chi2:.6g}")
-    return [*rows_of("Pose graph", graph), optimum]
+        return files

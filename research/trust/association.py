@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.checks import association_variants
-from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED
+from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED, TruthGapFinding
 from comparisons.config import SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.jobs.run import Comparison, compare
@@ -118,7 +118,7 @@ def shared(log: Log, associations: Iterable[str]) -> Iterator[SharedMistake]:
     with_labels = _error(compare(log, run_config(association="known")))
     for association in associations:
         found = compare(log, run_config(association=association))
-        gap, headline = present(found.truth_gap), found.verdict.headline
+        gap, headline = present(found.known.value(TruthGapFinding)), found.verdict.headline
         name = f"{log.name}, {association}"
         yield SharedMistake(name, headline, _error(found), with_labels, gap.measurement_m)
 

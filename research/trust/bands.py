@@ -196,7 +196,7 @@ def extreme(seed: int, *, plant: bool) -> _Extreme:
     except (InputError, SingularProblemError, np.linalg.LinAlgError):  # one line on the terminal
         return _Extreme(name, "refused")
     accused = bool({"algebra", "model", "breakdown"} & {one.gap for one in c.verdict.causes})
-    share = 10.0 * c.gaps.algebra_rounding.largest
+    share = 10.0 * c.known.gaps.algebra_rounding.largest
     if not plant or share > 0.5:
         return _Extreme(name, c.verdict.outcome, accused)
     broken = Modified(with_state(_losing(share)))

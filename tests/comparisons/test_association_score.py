@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from comparisons.checks.association import (
+    AssociationFinding,
     compare_partitions,
     counterparts,
     differing_measurements,
@@ -82,16 +83,16 @@ def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])
 def test_association_by_position_finds_the_labels_in_simulation(rule: str) -> None:
     c = compared(simulated(seed=1), association=rule)
-    assert present(c.association).landmarks.precision > 0.99
-    assert present(c.association).landmarks.recall > 0.97
+    assert present(c.known.value(AssociationFinding)).landmarks.precision > 0.99
+    assert present(c.known.value(AssociationFinding)).landmarks.recall > 0.97
 
 
 def test_no_score_with_labels_or_without_any() -> None:
     log = simulated(seed=1, loop_s=5.0)
-    assert compared(log).association is None
+    assert compared(log).known.value(AssociationFinding) is None
     c = compared(without_labels(log))
     assert c.prepared.ekf.association == "nn"
-    assert c.association is None
+    assert c.known.value(AssociationFinding) is None
 
 
 def test_codes_of_unused_measurements_index_nothing() -> None:

@@ -11,10 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.check import Answers
-from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import (
-    CheckConsistency,
     ConsistencyFinding,
     consistency_result,
     external_consistency_result,
@@ -28,7 +25,6 @@ from comparisons.jobs.check import check
 from comparisons.jobs.external_check import ExternalCheck
 from comparisons.jobs.readings import FAULT, MOTION, READINGS
 from comparisons.jobs.run import Comparison
-from comparisons.pipeline.known import Known
 from comparisons.report.check import EXTERNAL, CheckReport, check_ladder
 from comparisons.report.figures.run import map_figure
 from comparisons.report.html.page import page
@@ -298,16 +294,6 @@ def test_what_log_and_estimate_are_called_is_text() -> None:
     assert "<img" not in text
 
 
-class Finds(CheckConsistency):
-    """Finds what it is given."""
-
-    def __init__(self, found: Consistency) -> None:
-        self.found = ConsistencyFinding(found, "estimate")
-
-    def find(self, known: Known) -> ConsistencyFinding:
-        return self.found
-
-
 def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
     """Of 60,000 poses, which the curves and the map thin out."""
     found, poses = sound(), 60_000
@@ -340,8 +326,8 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
         peers=tuple(peers),
     )
     wide = replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed)
-    before = replace(found.known, findings={})
-    long = replace(long, answers=Answers(before, (Finds(wide),)))
+    findings = {**found.known.findings, "consistency": ConsistencyFinding(wide, "estimate")}
+    long = replace(long, before=replace(found.known, findings=findings))
     assert len(page(CheckReport(long, CheckReport.build(found)).page())) < 2_500_000
 
 

@@ -31,7 +31,7 @@ def comparison() -> Comparison:
 
 def judged(c: Comparison, *, kind: str = "full", **changed: object) -> Verdict:
     """The verdict on the gaps of a run, of which some are others, and on another filter's."""
-    gaps = replace(c.gaps, **changed)  # type: ignore[arg-type]
+    gaps = replace(c.known.gaps, **changed)  # type: ignore[arg-type]
     prepared = replace(c.prepared, ekf=c.prepared.ekf.model_copy(update={"filter": kind}))
     before = replace(
         c.known,

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.check import Check, Question
+from comparisons.checks.accuracy import CheckAccuracy
+from comparisons.checks.check import Answers, Check, Question
 from comparisons.checks.explaining import CheckDropouts, Explaining
 from comparisons.checks.finding import Absent, Finding
 from comparisons.checks.qualifiers import TRUTH_GAP
-from comparisons.checks.registry import CHECKS, EXPLAINING
+from comparisons.checks.registry import BASIS, CHECKS, EXPLAINING, OF_RUN
+from comparisons.checks.smoother import AboutSmoother
 from comparisons.checks.verdict import counting, decided, faulty
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.figures import kept_fields, meanings
@@ -30,7 +32,7 @@ from comparisons.report.explain import event_checks, every_check
 from comparisons.report.html.page import page
 from comparisons.report.job import Report, report_of
 from comparisons.report.panels import known_panels
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from comparisons.rounding import Allowed
 from comparisons.words import Cause
 from tests.commands import refused, works
@@ -99,10 +101,11 @@ def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     kept = json.loads(result.model_dump_json())
     assert kept["not_checked"] == dict(c.known.absent)
     entries = {key for found in c.findings.values() for key in found.entries}
-    assert entries <= {key for check in every_check() for key, _ in check.figures}
+    parts = [type(part) for part in (*BASIS, *OF_RUN)]
+    assert entries <= {key for check in (*parts, *every_check()) for key, _ in check.figures}
     assert entries <= {key for key, value in kept.items() if value is not None}
     assert all(kept[name] is None for name in ("accuracy", "association", "truth_gap"))
-    rows = [row for row in run_rows(c, result) if row.group == "Not checked"]
+    rows = [row for row in RunReport.of(c).summary().rows if row.group == "Not checked"]
     said = {name: row.value for row in rows for name in row.quantity.split(", ")}
     assert said == {name.replace("_", " "): why for name, why in c.known.absent.items()}
     assert len({row.value for row in rows}) == len(rows)
@@ -138,6 +141,14 @@ def jobs() -> dict[str, tuple[Known, Report[Any, Any]]]:
     }
 
 
+PARTS = {
+    "run": {one.name for one in OF_RUN},
+    "check": {"smoother", "grade"},
+    "solve": {"map", "smoother"},
+}
+"""What a job has besides its log and settings."""
+
+
 @pytest.mark.parametrize(
     ("job", "lacking"),
     [
@@ -150,7 +161,8 @@ def test_every_job_asks_every_check_and_shows_what_it_says(
     job: str, lacking: dict[str, str]
 ) -> None:
     known, report = jobs()[job]
-    assert {*known.findings, *known.absent} == {one.name for one in CHECKS}
+    asked = {*known.findings, *known.absent}
+    assert asked == {one.name for one in CHECKS} | {one.name for one in BASIS} | PARTS[job]
     assert not known.findings.keys() & known.absent.keys()
     assert known.absent.keys() == lacking.keys()
     assert all(words in known.absent[name] for name, words in lacking.items())
@@ -160,8 +172,8 @@ def test_every_job_asks_every_check_and_shows_what_it_says(
     assert known.entries.keys() <= {key for key, value in kept.items() if value is not None}
     assert json.loads(type(result).model_validate(kept).model_dump_json()) == kept
     rows = report.summary().rows
-    assert set(known.rows) <= set(rows)
-    for row in known.rows:
+    assert set(known.rows()) <= set(rows)
+    for row in known.rows():
         assert escape(row.value) in shown, row
     assert TRUTH_GAP in result.qualifiers
     causes = [f"{one.gap} gap: {one.evidence}" for one in getattr(result, "causes", ())]
@@ -169,6 +181,27 @@ def test_every_job_asks_every_check_and_shows_what_it_says(
     assert len(said) == 1
     assert "the smoother is far from the truth" in said[0]
     assert f"{result.verdict}, truth gap" in report.summary().headline
+
+
+def new_job(log: Log) -> Answers:
+    """A job with no report of its own: what it knows, which checks, and its name."""
+    before = solve(log).answers.before
+    return Answers(replace(before, name="likely"), (*BASIS, AboutSmoother(), CheckAccuracy()))
+
+
+def test_a_new_job_is_reported_as_every_other(tmp_path: Path) -> None:
+    report = report_of(new_job(simulated(loop_s=20.0)))
+    found = json.loads(report.write(tmp_path / "job").read_text())
+    assert (tmp_path / "job" / "likely.json").is_file()
+    assert {"log", "settings", "smoother", "accuracy", "seconds", "files"} <= found.keys()
+    assert found["log"]["name"] in (tmp_path / "job" / "report.html").read_text()
+    assert "smoother/trajectory.tum" in found["files"]
+    summary = report.summary()
+    assert summary.headline == "likely: simulated-loop"
+    assert [name for name, _ in summary.lines] == ["accuracy"]
+    groups = dict.fromkeys(row.group for row in summary.rows)
+    assert [*groups][:3] == ["Log", "Settings", "Smoother"]
+    assert report.outcome == "agree"
 
 
 def test_the_page_of_a_job_without_a_filter_shows_the_errors_of_its_optimum() -> None:

@@ -154,11 +154,11 @@ def with_prior_of(sigma_m: float) -> Log:
 def test_a_wide_prior_is_no_fault_of_the_filter(sigma_m: float) -> None:
     """Rounding grows with the prior's variance, and the limit of the gaps with it."""
     c = compared(with_prior_of(sigma_m))
-    assert c.agreement.algebra.covariance < 0.25 * c.gaps.rounding.covariance
-    assert c.agreement.model.covariance < 0.25 * c.gaps.rounding.covariance
+    assert c.agreement.algebra.covariance < 0.25 * c.known.gaps.rounding.covariance
+    assert c.agreement.model.covariance < 0.25 * c.known.gaps.rounding.covariance
     assert c.verdict.outcome == "agree"
     said = any("double precision resolves" in remark for remark in c.verdict.remarks)
-    assert said == (c.gaps.rounding.covariance > 1e-4)
+    assert said == (c.known.gaps.rounding.covariance > 1e-4)
 
 
 def test_what_rounding_hides_is_no_verdict() -> None:
@@ -174,8 +174,8 @@ def test_a_long_stand_still_is_no_fault_of_the_filter(still_s: float) -> None:
     """The filter forgets where it is: what rounding does is measured on a sound recursion."""
     c = compared(standing_still(simulated(loop_s=20.0), 10.0, still_s))
     assert "algebra" not in {cause.gap for cause in c.verdict.causes}
-    assert not c.agreement.algebra.explained_by(c.gaps.rounding)
-    assert c.agreement.algebra.explained_by(c.gaps.algebra_rounding)
+    assert not c.agreement.algebra.explained_by(c.known.gaps.rounding)
+    assert c.agreement.algebra.explained_by(c.known.gaps.algebra_rounding)
 
 
 @pytest.mark.parametrize("far_m", [5e6, 1e8, 1e9])
@@ -183,8 +183,10 @@ def test_an_origin_far_away_is_no_fault_of_the_filter(far_m: float) -> None:
     """Positions are rounded to their distance from the origin; UTM's lose nothing that counts."""
     c = compared(far_away(simulated(loop_s=20.0), far_m))
     assert c.verdict.outcome == "agree"
-    assert max(c.agreement.algebra.sigma, c.agreement.model.sigma) < 0.5 * c.gaps.rounding.sigma
-    assert (far_m == 5e6) == (c.gaps.rounding.sigma < 1e-5)
+    assert (
+        max(c.agreement.algebra.sigma, c.agreement.model.sigma) < 0.5 * c.known.gaps.rounding.sigma
+    )
+    assert (far_m == 5e6) == (c.known.gaps.rounding.sigma < 1e-5)
 
 
 @pytest.mark.slow
@@ -196,11 +198,11 @@ def test_sigmas_near_the_last_place_are_no_fault_of_the_filter(seed: int) -> Non
     """
     c = compared(fine(simulated(seed, loop_s=12.0)))
     assert not {"algebra", "model"} & {cause.gap for cause in c.verdict.causes}
-    assert not c.agreement.algebra.explained_by(c.gaps.rounding)
-    assert not c.agreement.model.explained_by(c.gaps.rounding)
-    assert c.agreement.algebra.explained_by(c.gaps.algebra_rounding)
-    assert c.agreement.model.explained_by(c.gaps.model_rounding)
-    assert c.gaps.algebra_rounding.sigma < 1.0
+    assert not c.agreement.algebra.explained_by(c.known.gaps.rounding)
+    assert not c.agreement.model.explained_by(c.known.gaps.rounding)
+    assert c.agreement.algebra.explained_by(c.known.gaps.algebra_rounding)
+    assert c.agreement.model.explained_by(c.known.gaps.model_rounding)
+    assert c.known.gaps.algebra_rounding.sigma < 1.0
 
 
 def test_a_filter_that_rounding_breaks_down_is_not_blamed() -> None:
@@ -235,11 +237,11 @@ def test_a_wrong_update_shows(where: str) -> None:
     c = compared(log(), Modified(with_state(TooSure)))
     assert c.verdict.outcome == "disagree"
     assert c.verdict.causes[0].gap == "algebra"
-    assert c.gaps.algebra_rounding.covariance < 0.1 * c.agreement.algebra.covariance
+    assert c.known.gaps.algebra_rounding.covariance < 0.1 * c.agreement.algebra.covariance
 
 
 def test_ordinary_priors_leave_the_limit_where_it_is() -> None:
-    assert compared(simulated(loop_s=20.0)).gaps.rounding == EXACT
+    assert compared(simulated(loop_s=20.0)).known.gaps.rounding == EXACT
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from comparisons.logs.log import Log, Positions
 from comparisons.report.figures.run import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from comparisons.statistics import Band, Normalised
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState
@@ -73,7 +73,7 @@ def test_result_and_rows(comparison: Comparison) -> None:
     assert found["ekf"]["distances"]["dof"] == 60
     assert [one["sensor"] for one in found["innovations"]] == ["measurements", "positions"]
     assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
-    groups = {row.group.partition(" (")[0] for row in run_rows(comparison, result)}
+    groups = {row.group.partition(" (")[0] for row in RunReport.of(comparison).summary().rows}
     assert {"EKF NEES", "Innovations of measurements", "EKF", "Smoother"} < groups
     (line,) = (
         text for label, text in RunReport(comparison, result).summary().lines if label[0] == "c"

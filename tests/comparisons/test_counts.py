@@ -15,7 +15,6 @@ from comparisons.extensions.dense_maps.report import MapReport
 from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve
-from comparisons.report.sections import ekf_result
 from comparisons.trace.reader import TraceReader
 from ekf_reference.core.landmark_types import POINT
 from research.trust.drives import open_case
@@ -53,7 +52,7 @@ def test_positions_of_a_run() -> None:
     moved = fixes.position_m + 40.0 * far[:, None]
     log = altered(log, "positions.position_m", moved)
     run = compared(log, ekf=choices)
-    result = ekf_result(run.ekf, run.prepared)
+    result = run.known.findings["ekf"].entries["ekf"]
     assert result.fixes_rejected > 0
     parts = {"fused": result.fixes_fused, "rejected": result.fixes_rejected}
     assert_adds_up(len(fixes.time_s), parts)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
+from comparisons.checks.settings import settings_result
 from comparisons.config import LogSection, RunConfig, setting_default
 from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, Preset, same
@@ -21,7 +22,6 @@ from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import read_log
 from comparisons.logs.transforms.published_sigmas import FORMATS, with_published_sigmas
 from comparisons.pipeline.read import load_log
-from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
 from comparisons.words import Row
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
@@ -220,15 +220,15 @@ def test_what_was_asked_for_beside_a_preset_stays_under_another(tmp_path: Path) 
 def test_a_result_says_which_settings_are_not_the_documents() -> None:
     ours = settings_result(run_config(dense=["points"]))
     assert "dense_maps.known_apart_m" in [one.setting for one in ours.differing]
-    (row,) = (row for row in settings_rows(ours) if row.quantity == "dense_maps.known_apart_m")
+    (row,) = (row for row in ours.rows() if row.quantity == "dense_maps.known_apart_m")
     assert row.value == "0.5 m, 1.5 m on scan landmarks alone"
     assert " in N 3.5" in row.band
     written = json.dumps(ours.model_dump(mode="json"), allow_nan=False)
     assert '"document": "Infinity"' in written  # of the longest edge, which JSON cannot hold
     theirs = settings_result(published_run(dense=["points"]))
-    assert settings_rows(theirs) == [Row("Settings", "preset", "nieto-2005")]
+    assert theirs.rows() == [Row("Settings", "preset", "nieto-2005")]
     by_labels, by_place = (
-        [row.quantity for row in settings_rows(settings_result(run_config(association=rule)))]
+        [row.quantity for row in settings_result(run_config(association=rule)).rows()]
         for rule in ("known", "nn")
     )
     assert by_labels == ["preset"]

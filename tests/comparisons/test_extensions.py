@@ -9,7 +9,7 @@ from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extension_names import EXTENSIONS
 from comparisons.jobs.run import compare
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config
 from comparisons.words import Row
 from tests.comparisons.test_startup import loaded
@@ -58,9 +58,8 @@ def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> Non
     assert found.verdict.outcome == "agree"
     assert station.result.measurements > 10
     assert station.result.ekf_m == pytest.approx((30.0, 20.0), abs=0.5)
-    result = RunReport.build(found)
     row = Row("Docking", "measurements", str(station.result.measurements))
-    assert row in run_rows(found, result)
+    assert row in RunReport.of(found).summary().rows
     folder = written(found, tmp_path / "run")
     kept = json.loads((folder / "result.json").read_text())
     assert kept["docking"]["ekf_m"] == list(station.result.ekf_m)

@@ -18,7 +18,6 @@ from comparisons.audit.own_filter import write_run
 from comparisons.audit.replay import Replay
 from comparisons.checks.agreement import Gap, Gaussian, gap
 from comparisons.checks.causes import FILTER_FAULTS
-from comparisons.checks.check import Answers
 from comparisons.checks.diagnosis.trace_recursion import replay
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
@@ -35,6 +34,7 @@ from comparisons.jobs.grading import check_external
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
+from comparisons.pipeline.known import Known
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
 from comparisons.report.panels import external_panels
@@ -108,17 +108,14 @@ def test_gaps_are_those_from_within(tmp_path: Path, case: Case) -> None:
     assert found.trace is not None
     assert found.trace.known.result is found.solution.result, "S is solved twice"
     of_events = ("NIS of ", "autocorrelation of innovations", "spurious knowledge of the heading")
-    for one, there in ((found, True), (replace(found, answers=without_trace(found)), False)):
+    for one, there in ((found, True), (replace(found, before=without_trace(found)), False)):
         titles = [panel.title for panel in external_panels(one)[1]]
         assert all(any(name in title for title in titles) == there for name in of_events)
 
 
-def without_trace(found: ExternalCheck) -> Answers:
-    before = found.answers.before
-    given = replace(present(before.given), sensors=())
-    return replace(
-        found.answers, before=replace(before, run=None, kept=None, given=given, findings={})
-    )
+def without_trace(found: ExternalCheck) -> Known:
+    given = replace(present(found.before.given), sensors=())
+    return replace(found.before, run=None, kept=None, given=given, findings={}, absent={})
 
 
 @pytest.mark.slow

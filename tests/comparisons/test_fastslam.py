@@ -57,7 +57,7 @@ def comparison() -> Comparison:
 
 @pytest.fixture(scope="module")
 def stretches(comparison: Comparison) -> StretchComparison:
-    return StretchComparison(comparison.gaps, comparison.prepared.log, Sampling(40))
+    return StretchComparison(comparison.known.gaps, comparison.prepared.log, Sampling(40))
 
 
 def summary_lines(comparison: Comparison) -> Sequence[tuple[str, str]]:
@@ -74,7 +74,7 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     assert len(result["stretches"]) == 6
     assert result["stretches"][0]["begin_s"] == 0.0
     estimate = found.estimates["fastslam"]
-    smoothed = comparison.gaps.smoothed
+    smoothed = comparison.known.gaps.smoothed
     assert estimate.pose.shape == smoothed.pose.shape
     np.testing.assert_array_equal(np.sort(estimate.landmark_id), np.sort(smoothed.landmark_id))
     assert np.linalg.eigvalsh(estimate.joint_covariance).min() > -1e-12
@@ -117,7 +117,7 @@ def test_stretches_cover_the_log_and_end_before_the_cloud_is_depleted(
 def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
     comparison: Comparison, stretches: StretchComparison
 ) -> None:
-    problem = comparison.gaps.problem
+    problem = comparison.known.gaps.problem
     prior = DriveStart(problem.prior_pose, problem.prior_covariance)
     same, landmarks = between(problem, (0, problem.pose_count - 1), prior)
     np.testing.assert_array_equal(landmarks, np.arange(problem.landmark_count))
@@ -155,7 +155,7 @@ def louder(log: Log, factor: float) -> Log:
 
 @pytest.mark.slow
 def test_what_fastslam_alone_has_wrong_disagrees(comparison: Comparison) -> None:
-    log, gaps = comparison.prepared.log, comparison.gaps
+    log, gaps = comparison.prepared.log, comparison.known.gaps
     verdicts = {}
     for name, believed in (
         ("same", log),

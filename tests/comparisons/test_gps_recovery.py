@@ -13,7 +13,7 @@ from comparisons.config import EkfConfig, RunConfig
 from comparisons.jobs.run import compare
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array as EkfArray
@@ -157,7 +157,7 @@ def test_the_report_says_what_was_rejected_in_streaks() -> None:
     result = RunReport.build(c)
     assert result.ekf.longest_streak == result.ekf.fixes_in_streaks == result.ekf.fixes_rejected
     assert any("in series of 5 or more" in remark for remark in result.remarks)
-    rows = {row.quantity: row.value for row in run_rows(c, result) if row.group == "EKF"}
+    rows = {row.quantity: row.value for row in RunReport.of(c).summary().rows if row.group == "EKF"}
     assert rows["most GPS positions rejected in a row"] == str(result.ekf.longest_streak)
 
 

@@ -13,6 +13,8 @@ import pytest
 
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.finding import Finding
+from comparisons.checks.gaps import GapsFinding
+from comparisons.checks.settings import settings_result
 from comparisons.estimates.estimate import Estimate
 from comparisons.jobs.run import Comparison
 from comparisons.report.explain import every_explanation
@@ -25,9 +27,9 @@ from comparisons.report.html.tables import LandmarkRow, landmarks, settings
 from comparisons.report.marks import Panel
 from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
-from comparisons.report.run import RunReport, run_rows
-from comparisons.report.settings import SettingLine, setting_lines, settings_result
-from comparisons.words import SETTINGS, Cause, Row
+from comparisons.report.run import RunReport
+from comparisons.report.settings import SettingLine, setting_lines
+from comparisons.words import SETTINGS, SPENT, Cause, Row
 from tests.helpers import altered, compared, present, simulated, written
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
@@ -242,13 +244,13 @@ def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -
 
 def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path) -> None:
     text = report.read_text(encoding="utf-8")
-    rows = run_rows(comparison, RunReport.build(comparison))
+    rows = RunReport.of(comparison).summary().rows
     assert {"Log", "EKF", "Smoother"} < {row.group for row in rows}
     for row in rows:
         mark = {True: "in", False: "out", None: ""}[row.inside]
         cells = (escape(cell) for cell in (row.quantity, row.value, row.band, mark))
         shown = f"<td>{'</td><td>'.join(cells)}</td></tr>" in text
-        assert shown == (row.group != SETTINGS)  # the page has a table of these
+        assert shown == (row.group not in (SETTINGS, *SPENT))  # the page has tables of these
 
 
 def test_every_landmark_is_in_the_table_and_on_the_map(
@@ -348,7 +350,8 @@ def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> N
     panels = replace(panels, errors=tuple(_lengthened(panel, poses) for panel in panels.errors))
     grown = altered(c, "known.run.estimate", long(c.ekf.estimate))
     grown = altered(grown, "known.kept.gaps.smoothed", long(c.smoothed))
-    grown = altered(grown, "known.kept.gaps.agreement.landmarks", blocks)
+    gaps = GapsFinding(replace(c.agreement, landmarks=blocks))
+    grown = altered(grown, "known.findings", {**c.findings, "agreement": gaps})
     report = RunReport.of(grown)
     vars(report)["panels"] = panels
     text = page(report.page())
@@ -398,10 +401,10 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
         for b in c.agreement.landmarks
     )
     broken = altered(c, "known.run.estimate", replace(ekf, pose=gone * ekf.pose, landmark=landmark))
-    broken = altered(broken, "known.kept.gaps.agreement.landmarks", blocks)
+    gaps = GapsFinding(replace(c.agreement, landmarks=blocks))
     worse = altered(c.consistency, "ekf.poses.error", gone[1:] * poses.error)
     worse = altered(worse, "ekf.poses.sigma", gone[1:] * poses.sigma)
-    findings = {**c.findings, "consistency": ConsistencyFinding(worse)}
+    findings = {**c.findings, "consistency": ConsistencyFinding(worse), "agreement": gaps}
     broken = altered(broken, "known.findings", findings)
     text = drawn(broken, RunReport.build(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)

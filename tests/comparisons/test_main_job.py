@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from comparisons.checks.association import AssociationFinding
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
 from comparisons.report.run import RunReport
@@ -73,7 +74,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    score = present(compared(log, association="consensus").association)
+    score = present(compared(log, association="consensus").known.value(AssociationFinding))
     assert present(score.clusters).precision > 0.99
     assert present(score.clusters).recall > recall
 

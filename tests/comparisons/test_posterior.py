@@ -18,7 +18,7 @@ from comparisons.extensions.posterior.extension import (
     judged,
 )
 from comparisons.jobs.run import Comparison, compare
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from graphslam.chain_diagnostics import SampledFigure, chain_evidence
 from graphslam.sampling import PosteriorComparison, PosteriorDraws
@@ -49,10 +49,10 @@ def test_a_short_run_has_an_entry_and_rows() -> None:
     assert entry["draws"] == 8000
     assert entry["r_hat"] <= 1.01
     assert min(entry["bulk"], entry["tail"]) >= 400
-    problem = found.gaps.result.problem
+    problem = found.known.gaps.result.problem
     assert entry["unknowns"] == problem.state_dimension
     assert len(entry["moments"]["mean"]) == 3 + 2 * problem.landmark_count
-    rows = [row for row in run_rows(found, result) if row.group == "Posterior (draws)"]
+    rows = [row for row in RunReport.of(found).summary().rows if row.group == "Posterior (draws)"]
     assert {row.inside for row in rows} == {True, None}
     assert any(row.quantity.startswith("EKF, last pose") for row in rows)
     assert any(row.quantity.startswith("smoother, whole") for row in rows)
@@ -105,7 +105,7 @@ def test_without_convergence_nothing_is_judged() -> None:
     draws = np.random.default_rng(0).standard_normal((16, 100, 7))
     draws[0] += 3.0
     stuck = PosteriorDraws(draws=draws, acceptance=0.9, step=1.0, evidence=chain_evidence(draws))
-    check = check_posterior(stuck, short().ekf.estimate, short().gaps.smoothed)
+    check = check_posterior(stuck, short().ekf.estimate, short().known.gaps.smoothed)
     assert not check.converged
     assert (check.moments, check.ekf, check.smoother) == (None, None, None)
     rows = PosteriorFinding(check, np.arange(2)).rows()

@@ -19,6 +19,7 @@ from comparisons.checks.qualifiers import (
     UNCHECKED,
     Distance,
     TruthGap,
+    TruthGapFinding,
     measurement_scale,
     qualified,
     truth_gap,
@@ -320,7 +321,7 @@ def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:
     lost = shifted_truth(log, 500.0)
     lost = replace(lost, truth=replace(lost.truth, poses=None))
     found = compared(lost, association="nn")
-    assert present(found.truth_gap).lost
+    assert present(found.known.value(TruthGapFinding)).lost
     assert TRUTH_GAP in found.verdict.qualifiers
 
 
@@ -359,10 +360,10 @@ def test_labels_stand_for_the_truth() -> None:
     """A log with labels and without truth: the smoother with them says how far off S is."""
     log = replace(first_seconds(simulated(0), 30.0), truth=Truth())
     found = compared(log, association="nn")
-    right = present(found.truth_gap)
+    right = present(found.known.value(TruthGapFinding))
     assert right.reference == "the smoother with the log's labels"
     assert not right.stands
-    assert compared(log, association="known").truth_gap is None
+    assert compared(log, association="known").known.value(TruthGapFinding) is None
 
 
 def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -372,7 +373,7 @@ def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) ->
     label[::7] = label[3]
     misread = replace(log, measurements=replace(log.measurements, landmark=label))
     monkeypatch.setattr(truth_by_labels, "smooth", None)
-    assert compared(misread, association="nn").truth_gap is None
+    assert compared(misread, association="nn").known.value(TruthGapFinding) is None
     with pytest.raises(TypeError):  # with the right labels it is asked
         compared(log, association="nn")
 
@@ -399,7 +400,7 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     for association in ("jcbb", "consensus"):
         found = compared(log, association=association)
         assert TRUTH_GAP in found.verdict.qualifiers, association
-        held = present(found.truth_gap)
+        held = present(found.known.value(TruthGapFinding))
         assert all(d.worse and not d.far for d in held.distances)
         evidence = next(one.evidence for one in found.verdict.causes if one.gap == "truth")
         assert "with the log's labels 0.13 m" in evidence
@@ -408,7 +409,9 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     sound = compared(log, association="known").verdict
     assert sound.outcome == "agree"
     assert TRUTH_GAP not in sound.qualifiers
-    by_labels = present(compared(replace(whole, truth=Truth()), association="nn").truth_gap)
+    by_labels = present(
+        compared(replace(whole, truth=Truth()), association="nn").known.value(TruthGapFinding)
+    )
     assert by_labels.reference == "the smoother with the log's labels"
     assert by_labels.stands
 

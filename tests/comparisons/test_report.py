@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from comparisons.atomic import LIST, _write_list, check_replaceable, folder_name, fresh_folder
+from comparisons.checks.gaps import GapsFinding
 from comparisons.config import CheckConfig, MapConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.jobs.run import Comparison
@@ -65,9 +66,8 @@ def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: 
 
 
 def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
-    gaps = comparison.gaps
-    agreement = replace(gaps.agreement, algebra_gap_covariance=float("inf"))
-    broken = altered(comparison, "known.kept.gaps.agreement", agreement)
+    gaps = GapsFinding(replace(comparison.agreement, algebra_gap_covariance=float("inf")))
+    broken = altered(comparison, "known.findings", {**comparison.findings, "agreement": gaps})
     text = RunReport.build(broken).model_dump_json()
     assert '"algebra_gap_covariance":null' in text
     assert "Infinity" not in text

@@ -296,7 +296,7 @@ def of_fastslam(section: FastSlamConfig) -> object:
     extension, stretches = section.build(config), mock.Mock()
     stretches.return_value.run.side_effect = lambda clouds, _: _stop(clouds, extension)
     known: Any = SimpleNamespace(
-        prepared=prepare(with_scans(), config), ekf=comparison().ekf, gaps=comparison().gaps
+        prepared=prepare(with_scans(), config), ekf=comparison().ekf, gaps=comparison().known.gaps
     )
     with (
         mock.patch.object(fastslam, "StretchComparison", stretches),

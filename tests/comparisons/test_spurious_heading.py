@@ -18,7 +18,7 @@ from comparisons.checks.spurious import SpuriousFinding, spurious_rows
 from comparisons.jobs.run import Comparison
 from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels
-from comparisons.report.run import RunReport, run_rows
+from comparisons.report.run import RunReport
 from comparisons.trace.events import Event, Update
 from comparisons.trace.reader import TraceReader
 from tests.comparisons.test_known_landmarks import with_survey
@@ -32,7 +32,7 @@ def sound() -> Comparison:
 
 
 def learnt(c: Comparison) -> Learnt:
-    return present(c.spurious)
+    return present(c.known.value(SpuriousFinding))
 
 
 def with_information(information: float) -> Learnt:
@@ -134,7 +134,7 @@ def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
 
 def test_surveyed_landmarks_tell_the_heading() -> None:
     c = compared(with_survey(simulated(seed=2, loop_s=30.0)))
-    assert c.spurious is None
+    assert c.known.value(SpuriousFinding) is None
     assert RunReport.build(c).spurious_heading is None
     assert consistency_panels(c).learnt is None
 
@@ -167,7 +167,9 @@ def test_the_curve_starts_where_something_was_learnt() -> None:
 def test_the_page_has_its_figures() -> None:
     c = sound()
     result = RunReport.build(c)
-    rows = [row for row in run_rows(c, result) if row.group.startswith("Absolute heading")]
+    rows = [
+        row for row in RunReport.of(c).summary().rows if row.group.startswith("Absolute heading")
+    ]
     named = ["standard deviation", "gained fastest", "largest gain by one update"]
     assert [row.quantity for row in rows] == named
     assert rows[0].value == f"{present(result.spurious_heading).sigma_deg:.3g} deg"

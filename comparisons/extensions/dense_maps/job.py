@@ -10,7 +10,8 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.check import Answers
-from comparisons.checks.registry import CHECKS
+from comparisons.checks.filter import AboutFilter
+from comparisons.checks.registry import BASIS, CHECKS
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
@@ -121,7 +122,7 @@ def map_log(
         layers=layers,
         classic=usual,
         errors=_errors(prepared.log, placed, layers, usual),
-        answers=Answers(known, CHECKS),
+        answers=Answers(known, (*BASIS, AboutFilter(), *CHECKS)),
     )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.filter import EkfFigures
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, SurfaceError, surface_error_rows
 from comparisons.extensions.dense_maps.check import FirstCondition
 from comparisons.extensions.dense_maps.figure import (
@@ -29,18 +30,12 @@ from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.figures import Model, Named, rows_of
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.known import Known
-from comparisons.report.folder import JobFolder
-from comparisons.report.html.map import estimate_map
-from comparisons.report.html.page import PageContent, write_page
-from comparisons.report.job import Report
+from comparisons.report.html.map import MapContent, estimate_map
+from comparisons.report.job_report import JobReport, job_entries
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR
-from comparisons.report.models import EkfResult, JobResult
+from comparisons.report.models import JobResult
 from comparisons.report.picture import blank
-from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
-from comparisons.report.sections import about_job, ekf_result, found_entries, known_page
-from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
 from ekf_reference.dense.dense_map import DenseMap, ReturnTally
@@ -136,7 +131,7 @@ class MapResult(JobResult):
         dynamic: places where something moves.
     """
 
-    ekf: EkfResult
+    ekf: EkfFigures
     accuracy: Accuracy | None = None
     scan_landmarks: int
     regions: int
@@ -150,7 +145,7 @@ class MapResult(JobResult):
     dynamic: DynamicResult | None
 
 
-class MapReport(Report[DenseMapping, MapResult]):
+class MapReport(JobReport[DenseMapping, MapResult]):
     """Report of `slamcheck map`."""
 
     @staticmethod
@@ -159,7 +154,6 @@ class MapReport(Report[DenseMapping, MapResult]):
         m = mapping
         returns = returns_result(m.dense.dense)
         return MapResult(
-            ekf=ekf_result(m.ekf, m.prepared),
             scan_landmarks=len(m.ekf.estimate.pose_landmarks),
             regions=len(m.placed.triangle),
             first_condition=FirstCondition.of(m.dense),
@@ -176,8 +170,7 @@ class MapReport(Report[DenseMapping, MapResult]):
             closing=m.dense.before,
             dynamic=_dynamic(m),
             remarks=[*_remarks(m), *m.known.remarks],
-            **found_entries(m.known, MapResult),
-            **about_job(m.prepared, m.dense.clock.after(read, m.prepared.clock), m.prepared.ekf),
+            **job_entries(m.known, MapResult, read, m.dense.clock),
         )
 
     @property
@@ -185,10 +178,17 @@ class MapReport(Report[DenseMapping, MapResult]):
         """A map of almost nothing decides nothing."""
         return "unverified" if self.result.lacks else "agree"
 
-    def summary(self) -> Summary:
-        """Return what the command prints: what the map holds, and how good it is."""
-        result, returns, known = self.result, self.result.returns, self.found.known
+    @property
+    def headline(self) -> str:
+        """How much of what was scanned the map holds."""
+        returns = self.result.returns
         fused = f"{returns.fused + returns.late:,} of {returns.returns:,}"
+        return f"map: {fused} scan returns in {self.result.regions:,} regions"
+
+    @property
+    def lines(self) -> Sequence[tuple[str, str]]:
+        """What the map holds, and how good it is."""
+        result, returns = self.result, self.result.returns
         errors = [
             f"{name} {error.median_m:.3f} m"
             for name, error in result.surface_errors.items()
@@ -202,61 +202,56 @@ class MapReport(Report[DenseMapping, MapResult]):
         ]
         if errors:
             lines.append(("surfaces", f"median distance to true ones: {', '.join(errors)}"))
-        return Summary(
-            headline=f"map: {fused} scan returns in {result.regions:,} regions",
-            look=self.outcome,
-            reasons=[result.lacks] if result.lacks else [],
-            remarks=result.remarks,
-            lines=[*lines, *known.lines],
-            rows=_map_rows(result, known),
-        )
+        return lines
 
-    def page(self) -> PageContent:
-        """Return what stands on the page; the map has the first layer's occupied cells."""
+    @property
+    def job_rows(self) -> Sequence[Row]:
+        """Rows of the map."""
+        return _map_rows(self.result)
+
+    def summary(self) -> Summary:
+        """Return what the command prints; what the map lacks is why it decides nothing."""
+        lacks = self.result.lacks
+        return replace(super().summary(), look=self.outcome, reasons=[lacks] if lacks else [])
+
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: the filter, and the first layer's occupied cells."""
         m = self.found
         name, samples = next(iter(m.layers.items()))
         cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
-        drawn = estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
-        config = m.prepared.config
-        return known_page(self.result, self.summary(), "map", drawn, config, m.known)
+        return estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written: the map, and each layer in several formats.
-
-        Layers as clouds need Open3D: raises MissingLibraryError. Without regions there are none.
-        """
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map, and where something moves."""
         mapping = self.found
         figures = {"map": dense_map_figure(mapping)}
-        dynamic = mapping.dense.dense.dynamic
-        if dynamic is not None:
+        if (dynamic := mapping.dense.dense.dynamic) is not None:
             figures["dynamic-map"] = dynamic_figure(mapping, dynamic)
-        files: dict[str, Callable[[Path], object]] = {
-            "report.html": partial(write_page, self.page())
-        }
-        if len(mapping.placed.triangle):
-            files["regions.csv"] = lambda path: path.write_text(
-                regions_csv(mapping), encoding="utf-8"
-            )
-            files |= _layer_files(mapping)
-        return JobFolder(
-            name="map",
-            result=self.result,
-            config=mapping.prepared.config,
-            estimates={"ekf": mapping.ekf.estimate},
-            figures=figures,
-            files=files,
-        )
+        return figures
+
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return regions, and each layer in several formats; without regions there are none.
+
+        Layers as clouds need Open3D: raises MissingLibraryError.
+        """
+        mapping = self.found
+        if not len(mapping.placed.triangle):
+            return {}
+
+        def write_regions(path: Path) -> None:
+            path.write_text(regions_csv(mapping), encoding="utf-8")
+
+        return {"regions.csv": write_regions, **_layer_files(mapping)}
 
 
-def _map_rows(result: MapResult, known: Known) -> list[Row]:
+def _map_rows(result: MapResult) -> list[Row]:
     returns = result.returns
     counts = {
         "scans": returns.scans,
         "returns": returns.returns,
         **{f"returns {what}": count for what, count in returns.parts().items()},
     }
-    rows = [*log_rows(result.log), *settings_rows(result.settings)]
-    rows += [*ekf_rows(result.ekf), *known.rows]
+    rows = list[Row]()
     if result.scan_landmarks:
         rows.append(Row("EKF", "scan landmarks", f"{result.scan_landmarks:,}"))
     rows += result.first_condition.rows()
@@ -266,7 +261,7 @@ def _map_rows(result: MapResult, known: Known) -> list[Row]:
     rows += surface_error_rows(result.surface_errors)
     if result.dynamic is not None:
         rows += rows_of("Moving objects", result.dynamic)
-    return [*rows, *seconds_rows(result.seconds, result.cpu_s)]
+    return rows
 
 
 def _layer_files(mapping: DenseMapping) -> dict[str, Callable[[Path], object]]:

@@ -14,8 +14,10 @@ from comparisons.adapters.scan_source import CloudsAt
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
-from comparisons.checks.check import Answers
-from comparisons.checks.registry import CHECKS
+from comparisons.checks.check import Answers, FromJob, Question
+from comparisons.checks.finding import JobPart
+from comparisons.checks.registry import BASIS, CHECKS
+from comparisons.checks.smoother import AboutSmoother
 from comparisons.config import EkfConfig, OdometryConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.increments import IncrementCheck, check_increments
@@ -23,6 +25,11 @@ from comparisons.extensions.scan_motion.log_by_scans import (
     divide,
     measurements_kept,
     with_scan_motion,
+)
+from comparisons.extensions.scan_motion.result import (
+    LoopResult,
+    ScanOdometryFinding,
+    scan_odometry_result,
 )
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
@@ -138,8 +145,20 @@ def run_front_end(
     wheels = None
     if len(log.odometry.time_s):
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
+    increments = check_increments(motion, log)
+    scans = scan_odometry_result(motion, seconds=clock.seconds["odometry"])
+    loops = LoopResult.of(closed)
+    tried = f"{loops.closed} closed of {loops.tried} tried"
+    checks: tuple[Question[Known], ...] = (
+        *BASIS,
+        FromJob("scans", ScanOdometryFinding(scans, increments)),
+        FromJob("loops", JobPart("loops", loops, ("loops", tried))),
+        AboutSmoother("graph"),
+        *CHECKS,
+    )
     known = Known(
         prepared=scanned,
+        source=log,
         solved=(graph, estimate),
         landmark_index=landmark_index,
         timeline=timeline,
@@ -157,8 +176,8 @@ def run_front_end(
         graph=graph,
         estimate=estimate,
         clouds=clouds,
-        increments=check_increments(motion, log),
-        answers=Answers(known, CHECKS),
+        increments=increments,
+        answers=Answers(known, checks),
     )
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,18 +13,17 @@ from matplotlib.figure import Figure
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.optimum import lacking
+from comparisons.checks.smoother import SmootherFigures
+from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.job import FrontEnd
 from comparisons.extensions.scan_motion.log_by_scans import measurements_kept
 from comparisons.extensions.scan_motion.result import (
+    LoopResult,
     ScanOdometryResult,
-    by_reason,
     increment_remarks,
-    scan_odometry_result,
-    scan_odometry_rows,
 )
-from comparisons.figures import Model, Named, rows_of
 from comparisons.pipeline.clock import Clock
 from comparisons.report.figures.style import (
     draw_aside,
@@ -34,32 +33,12 @@ from comparisons.report.figures.style import (
     entitle,
     plan,
 )
-from comparisons.report.folder import JobFolder
-from comparisons.report.html.map import Track, estimate_map
-from comparisons.report.html.page import PageContent, write_page
-from comparisons.report.job import Report
+from comparisons.report.html.map import MapContent, Track, estimate_map
+from comparisons.report.job_report import JobReport, optimum_entries
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
-from comparisons.report.models import CheckedResult, SmootherResult
-from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, known_page, optimum_findings, smoother_result
-from comparisons.report.settings import settings_rows
-from comparisons.report.terminal import Summary
+from comparisons.report.models import CheckedResult
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
-
-
-class LoopResult(Model):
-    """Loop closure.
-
-    Attributes:
-        tried: pairs of poses that were tried.
-        closed: pairs that were closed.
-        reasons: number of the other pairs, by reason.
-    """
-
-    tried: Annotated[int, Named("pairs of poses tried")]
-    closed: Annotated[int, Named("pairs of poses closed")]
-    reasons: dict[str, int]
 
 
 class FrontEndResult(CheckedResult):
@@ -81,7 +60,7 @@ class FrontEndResult(CheckedResult):
 
     odometry: ScanOdometryResult
     loops: LoopResult
-    graph: SmootherResult
+    graph: SmootherFigures
     landmarks: int
     gps: str
     increments: IncrementCheck | None
@@ -92,7 +71,7 @@ class FrontEndResult(CheckedResult):
     reasons: list[str]
 
 
-class FrontEndReport(Report[FrontEnd, FrontEndResult]):
+class FrontEndReport(JobReport[FrontEnd, FrontEndResult]):
     """Report of `slamcheck odometry`."""
 
     @staticmethod
@@ -102,66 +81,35 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
         reasons = [*([f.motion.lacks] if f.motion.lacks else []), *lacking(f.graph.optimality)]
         remarks = [*_remarks(f), *(remark for remark in f.known.remarks if remark not in reasons)]
         return FrontEndResult(
-            odometry=scan_odometry_result(f.motion, seconds=f.prepared.clock.seconds["odometry"]),
-            loops=LoopResult(
-                tried=len(f.closed.attempts),
-                closed=len(f.closed.loop_closures.first),
-                reasons=by_reason(a.outcome for a in f.closed.attempts if a.outcome != "accepted"),
-            ),
-            graph=smoother_result(f.graph, f.estimate),
             landmarks=len(f.estimate.landmark),
             gps=f.prepared.config.front_end.gps,
-            increments=f.increments,
             verdict="unverified" if reasons else "verified",
             reasons=reasons,
-            **optimum_findings(f.known, FrontEndResult, remarks),
-            **about_job(f.prepared, f.prepared.clock.after(read)),
+            **optimum_entries(f.known, FrontEndResult, remarks, read),
         )
 
-    def summary(self) -> Summary:
-        """Return what the command prints: outcome, scans, loop closures and accuracy."""
-        result = self.result
-        o = result.odometry
-        return Summary(
-            headline=f"verdict: {result.headline}",
-            look=result.look,
-            reasons=result.reasons,
-            remarks=result.remarks,
-            lines=[
-                ("scans", f"{o.used:,} of {o.scans:,} scans used, {o.breaks} restarts"),
-                ("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
-                *self.found.known.lines,
-            ],
-            rows=[
-                *log_rows(result.log),
-                *settings_rows(result.settings),
-                *scan_odometry_rows(o, result.increments),
-                *rows_of("Loop closure", result.loops),
-                *smoother_rows(result.graph),
-                *self.found.known.rows,
-                *seconds_rows(result.seconds, result.cpu_s),
-            ],
-        )
-
-    def page(self) -> PageContent:
-        """Return what stands on the page."""
+    def drawn(self) -> MapContent:
+        """Return what the page's map shows: the graph, and where the odometries lead."""
         f, path = self.found, partial(Track, time_s=self.found.time_s, against_time=False)
         others = [path(name="scan odometry", colour=EKF_COLOUR, dashes="5 3", pose=f.odometry)]
         if f.wheels is not None:
             others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))
         cloud = ("scans", f.map_points()[:, :2])
-        drawn = estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
-        config = f.prepared.config
-        return known_page(self.result, self.summary(), "odometry", drawn, config, f.known)
+        return estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
 
-    def folder(self) -> JobFolder:
-        """Return what is to be written. Raises MissingLibraryError: a cloud needs Open3D."""
-        f, cloud = self.found, self.found.prepared.config.cloud
-        points, problem = f.map_points(), f.graph.problem
-        files: dict[str, Callable[[Path], object]] = {
-            "odometry.tum": _tum(f.time_s, f.odometry),
-            "report.html": partial(write_page, self.page()),
-        }
+    @property
+    def estimates(self) -> Mapping[str, Estimate]:
+        """The graph's."""
+        return {"graph": self.found.estimate}
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Return the map."""
+        return {"map": front_end_figure(self.found, self.found.map_points())}
+
+    def files(self) -> Mapping[str, Callable[[Path], object]]:
+        """Return paths, graph and cloud. Raises MissingLibraryError: a cloud needs Open3D."""
+        f, cloud, problem = self.found, self.found.prepared.config.cloud, self.found.graph.problem
+        files = {"odometry.tum": _tum(f.time_s, f.odometry)}
         if f.wheels is not None:
             files["wheels.tum"] = _tum(f.time_s, f.wheels)
         if holds(problem):
@@ -170,15 +118,8 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
             )
             files["graph.g2o"] = lambda path: write_g2o(path, contents)
         if cloud is not None:
-            files[f"map.{cloud}"] = lambda path: write_cloud(path, points)
-        return JobFolder(
-            name="odometry",
-            result=self.result,
-            config=f.prepared.config,
-            estimates={"graph": f.estimate},
-            figures={"map": front_end_figure(f, points)},
-            files=files,
-        )
+            files[f"map.{cloud}"] = lambda path: write_cloud(path, f.map_points())
+        return files
 
 
 def _tum(time_s: np.ndarray, pose: np.ndarray) -> Callable[[Path], object]:

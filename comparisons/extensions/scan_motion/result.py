@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 import numpy as np
 
 from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.checks.accuracy import accuracy_rows
+from comparisons.checks.finding import Basis
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.figures import METRES, LeftOut, Less, Model, More, Named, band, rows_of
 from comparisons.words import Row
+from graphslam.scan.loop_closure import Closed
 
 _SURE = 2.0
 """Sigmas too small by more than this factor are remarked upon."""
@@ -87,6 +89,34 @@ def _increments(i: IncrementCheck | None) -> list[Row]:
     return [Row(group, "NEES, mean (expected 3)", f"{3.0 * i.nees:.2f}", limits, inside), *rows]
 
 
+class LoopResult(Model):
+    """Loop closure.
+
+    Attributes:
+        tried: pairs of poses that were tried.
+        closed: pairs that were closed.
+        reasons: number of the other pairs, by reason.
+    """
+
+    tried: Annotated[int, Named("pairs of poses tried")]
+    closed: Annotated[int, Named("pairs of poses closed")]
+    reasons: dict[str, int]
+
+    @classmethod
+    def of(cls, closed: Closed) -> LoopResult:
+        """Return it of loop closures, and all that were tried."""
+        outcomes = [attempt.outcome for attempt in closed.attempts]
+        return cls(
+            tried=len(outcomes),
+            closed=len(closed.loop_closures.first),
+            reasons=by_reason(outcome for outcome in outcomes if outcome != "accepted"),
+        )
+
+    def rows(self) -> list[Row]:
+        """Return rows of the table."""
+        return rows_of("Loop closure", self)
+
+
 class ScanOdometryResult(Model):
     """Entry `scan_odometry`: motion from scans.
 
@@ -111,3 +141,19 @@ class ScanOdometryResult(Model):
     overlap: Annotated[More[float | None], Named("overlap of matched scans (median)", "{:.2f}")]
     residual_m: Annotated[Less[float | None], Named("residual of matched scans (median)", METRES)]
     scans_per_second: Annotated[LeftOut[float], Named("scans per second", "{:.0f}")]
+
+
+class ScanOdometryFinding(Basis[ScanOdometryResult]):
+    """What became of the scans, where a job moves by them alone."""
+
+    def __init__(self, odometry: ScanOdometryResult, increments: IncrementCheck | None) -> None:
+        """increments: against the wheels; None without these."""
+        entries = {"odometry": odometry, "increments": increments}
+        super().__init__(odometry, entries=entries)
+        self._rows = scan_odometry_rows(odometry, increments)
+        used = f"{odometry.used:,} of {odometry.scans:,} scans used, {odometry.breaks} restarts"
+        self.lines = [("scans", used)]
+
+    def rows(self) -> Sequence[Row]:
+        """Return rows of the table."""
+        return self._rows

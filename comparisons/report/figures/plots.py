@@ -32,7 +32,6 @@ from comparisons.report.figures.style import (
 from comparisons.report.job import report_of
 from comparisons.report.ladder import LadderStep
 from comparisons.report.marks import (
-    DEPARTURE,
     DEPARTURE_COLOUR,
     EKF_COLOUR,
     SMOOTHER_COLOUR,
@@ -42,6 +41,7 @@ from comparisons.report.marks import (
 )
 from comparisons.report.panels import COMPONENTS, errors_and_nees
 from comparisons.report.picture import draw_panel
+from comparisons.words import DEPARTURE
 
 _NOTHING = 1e-16
 """What a gap of nothing is drawn as."""
@@ -178,7 +178,7 @@ def _(result: Comparison, axis: Axes) -> None:
         f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.optimism:.3g}"
     )
     estimates = {"smoother": result.smoothed, "EKF": result.ekf.estimate}
-    _draw_estimates(axis, result.log, result.dead_reckoned, estimates)
+    _draw_estimates(axis, result.log, result.known.dead_reckoned, estimates)
     for finding in result.findings.values():
         finding.draw(axis)
     entitle(axis, title)

@@ -5,7 +5,7 @@ What a section needs is loaded where the page has it: an audit's page knows noth
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -79,9 +79,11 @@ class PageContent:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
-def facts_of(lines: Iterable[tuple[str, str]], leave: str = "") -> list[tuple[str, str]]:
-    """Return lines of what is printed as facts of the page, but the one that a note says."""
-    return [(name[:1].upper() + name[1:], text) for name, text in lines if name != leave]
+def facts_of(
+    lines: Iterable[tuple[str, str]], leave: Collection[str] = ()
+) -> list[tuple[str, str]]:
+    """Return lines of what is printed as facts of the page, but those that it says elsewhere."""
+    return [(name[:1].upper() + name[1:], text) for name, text in lines if name not in leave]
 
 
 def page_of(summary: Summary, name: str) -> PageContent:

@@ -617,10 +617,10 @@ def test_under_sound_nothing_is_said_to_be_out(tmp_path: Path) -> None:
     for seed in range(4):
         found = audited(tmp_path, Toy(seed=seed, steps=60))
         assert found.sound
-        assert all(row.inside is not False for row in ask_events(found).rows)
+        assert all(row.inside is not False for row in ask_events(found).rows())
         assert "gap opens" not in str(AuditReport.of(found).summary())
         faulty = replace(found, verdict="faulty")
-        marked += sum(row.inside is False for row in ask_events(faulty).rows)
+        marked += sum(row.inside is False for row in ask_events(faulty).rows())
     assert marked
 
 

@@ -10,6 +10,7 @@ import pytest
 from comparisons.audit.own_filter import run_events, write_run
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, learnt
+from comparisons.checks.spurious import SpuriousFinding
 from comparisons.jobs.run import Comparison
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.trace.events import (
@@ -97,7 +98,7 @@ def test_the_events_lead_to_the_filters_covariance(name: str) -> None:
 def test_what_a_run_learnt_is_what_its_equations_hold(name: str) -> None:
     """By one dense linear model of all noises."""
     c = CASES[name]()
-    found = present(c.spurious)
+    found = present(c.known.value(SpuriousFinding))
     east, north, heading = found.directions
     assert east.information == north.information == 0.0
     expected = by_definition(list(run_events(c.ekf)))[2, 2]

@@ -38,7 +38,7 @@ def test_the_demo_of_kf_slam(datasets: Path) -> None:
     compared = compare(log)
     assert compared.verdict.outcome != "unverified"
     assert _rms(compared.ekf.estimate, log) < 0.01
-    assert _rms(compared.gaps.smoothed, log) < 0.01
+    assert _rms(compared.known.gaps.smoothed, log) < 0.01
 
 
 def _rms(estimate: Estimate, log: Log) -> float:
