@@ -152,8 +152,12 @@ def squared_distance(error: Array, covariance: Array) -> Array:
 
 def inside(squared: Array, dof: Index) -> NDArray[np.bool_]:
     """Return which squared errors (N,) are in the 95 % band of one. dof: (N,), or one for all."""
-    low, high = (chi2_quantile(share, dof) for share in (0.5 * OUTSIDE, 1.0 - 0.5 * OUTSIDE))
-    return np.asarray((squared >= low) & (squared <= high))
+    within = np.zeros(len(squared), dtype=bool)
+    every = np.broadcast_to(dof, squared.shape)
+    for each in np.unique(every).tolist():
+        (low, high), rows = mean_band(1, each), every == each
+        within[rows] = (squared[rows] >= low) & (squared[rows] <= high)
+    return within
 
 
 def normalise(error: Array, covariance: Array) -> Normalised:

@@ -205,7 +205,7 @@ def test_what_a_command_loads_becomes_the_sources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also by a process that the command starts; what only prints is left out."""
-    inner = "import ekf_reference.core.ekf, comparisons.cli.app, comparisons.report.sections"
+    inner = "import ekf_reference.core.ekf, comparisons.cli.app, comparisons.report.job_report"
     outer = f"import subprocess, sys; subprocess.run([sys.executable, '-c', '{inner}']); print(1)"
     monkeypatch.setattr(
         recorder, "_git", lambda *words: "" if words[0] == "status" else "abcdef0123"
