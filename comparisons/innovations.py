@@ -131,7 +131,7 @@ class InnovationFigures:
         return [
             Row(
                 group,
-                f"NIS of {n.name}, mean (expected {n.dof})",
+                f"NIS of {n.name}, mean (expected {n.expected_words})",
                 f"{n.mean:.3g}",
                 f"{n.band[0]:.3g} to {n.band[1]:.3g}",
                 n.band.holds(n.mean),
@@ -316,7 +316,9 @@ def _nis(
         return []
     if components is None:
         per, count = float(dof.mean()), len(dof)
-        return [Nis(name, round(per), count, float(squared.mean()), mean_band(count, per))]
+        band = mean_band(count, per)
+        freedom = float(dof.sum())
+        return [Nis(name, round(per), count, float(squared.mean()), band, freedom=freedom)]
     columns = components**2
     found = [average(name, columns)]
     if len(names) > 1:

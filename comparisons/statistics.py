@@ -10,7 +10,7 @@ scipy.stats itself evaluates, so the values are equal to the bit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -218,10 +218,11 @@ class Nis:
 
     Attributes:
         name: sensor or component.
-        dof: degrees of freedom of a value.
+        dof: degrees of freedom of a value; rounded where values have different ones.
         count: number of innovations.
         mean: average; `dof` is right.
         band: 95 % band of the average.
+        freedom: degrees of freedom of all values together; no part of a result file.
         reading: `plausible`, `too high`: the filter is too sure, or `too low`.
     """
 
@@ -230,6 +231,8 @@ class Nis:
     count: int
     mean: OfDof[float]
     band: Band
+    _: KW_ONLY
+    freedom: Aside[float | None] = None
 
     @computed_field
     @property
@@ -239,8 +242,27 @@ class Nis:
 
     def worded(self, outside: float) -> tuple[str, Band]:
         """Return the reading by the band that so many sound runs leave, and that band."""
-        band = mean_band(self.count, self.dof, outside)
+        band = mean_band(self.count, self.expected, outside)
         return band.reading(self.mean), band
+
+    @property
+    def total_dof(self) -> float:
+        """Degrees of freedom of all values together."""
+        return float(self.count * self.dof) if self.freedom is None else self.freedom
+
+    @property
+    def expected(self) -> float:
+        """The average that is right: the degrees of freedom of a value, or their mean."""
+        return self.dof if self.freedom is None else self.freedom / self.count
+
+    @property
+    def expected_words(self) -> str:
+        """The same as text."""
+        return f"{self.dof}" if self.freedom is None else f"{self.expected:.3g}"
+
+    def chance(self, least: float = 1.0) -> float:
+        """Return the two-sided chance of an average as far out. least: as of `chance_of_sum`."""
+        return chance_of_sum(self.mean * self.count, self.total_dof, least)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -543,3 +543,31 @@ def test_a_second_class_of_a_name_is_found() -> None:
     twice = [("comparisons/a.py", "class Row: ..."), ("comparisons/b.py", "class Row: ...")]
     assert places_of_classes(twice) == {"Row": ["comparisons", "comparisons"]}
     assert places_of_classes(twice[:1]) == {}
+
+
+CORE, MOST_LINES = ("core", "models", "filters", "association"), 2_000
+"""Folders of ekf_reference that are read as one, and their lines of code together."""
+
+
+def lines_of_code(source: str) -> int:
+    """Count the lines that are neither blank nor comments, docstrings or imports."""
+    left_out = set[int]()
+    for node in ast.walk(parsed(source)):
+        is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if is_text or isinstance(node, ast.Import | ast.ImportFrom):
+            assert isinstance(node, ast.stmt)
+            left_out |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    rows = enumerate(source.splitlines(), 1)
+    return sum(bool(line.partition("#")[0].strip()) and row not in left_out for row, line in rows)
+
+
+def test_the_core_of_the_reference_stays_small() -> None:
+    paths = [path for room in CORE for path in (ROOT / "ekf_reference" / room).rglob("*.py")]
+    assert 1_000 < sum(lines_of_code(path.read_text()) for path in paths) <= MOST_LINES
+
+
+def test_lines_of_code_are_counted() -> None:
+    source = '"""Text\n\nof a module."""\n\nimport re\nfrom a import (\n    b,\n)\n\n# why\n'
+    source += 'X = 1  # one\n"""Of X."""\n\n\n'
+    source += 'def f():\n    """Do."""\n    return (\n        X\n    )\n'
+    assert lines_of_code(source) == 5

@@ -491,15 +491,13 @@ def departures(sensor: SensorInnovations, level: float) -> list[ConsistencyDepar
 
 
 def _mean(nis: Nis, sensor: SensorInnovations, level: float) -> list[ConsistencyDeparture]:
-    whole = nis is sensor.nis[0]
-    dof = float(sensor.dof.sum()) if whole else float(nis.count)
-    p = chance_of_sum(nis.mean * nis.count, dof, sensor.least)
+    whole, right = nis is sensor.nis[0], nis.expected
+    p = nis.chance(sensor.least)
     if p >= level:
         return []
-    right = dof / nis.count
     what = "NIS" if whole else f"NIS of {nis.name}"
     text = f"{what} is {Band(right, right).reading(nis.mean)}: {nis.mean:.3g}, expected {right:.3g}"
-    weight = rarity(nis.mean / right, dof)
+    weight = rarity(nis.mean / right, nis.total_dof)
     return [ConsistencyDeparture(text, p, weight=_WHOLE * weight if whole else weight)]
 
 

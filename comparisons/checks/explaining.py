@@ -145,7 +145,7 @@ def misfit(test: ChiSquareTest, departure: str, consistency: Consistency | None)
     """Nothing that was tried makes the log fit. departure: where its residuals leave the noise."""
     sensors = () if consistency is None else consistency.sensors
     listed = [
-        f"{sensor.sensor}' {nis.name} {nis.mean:.3g} (expected {nis.dof})"
+        f"{sensor.sensor}' {nis.name} {nis.mean:.3g} (expected {nis.expected_words})"
         for sensor in sensors
         for nis in sensor.nis[1:]
         if consistency and nis.worded(consistency.outside)[0] == "too high"

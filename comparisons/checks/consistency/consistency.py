@@ -99,8 +99,9 @@ class Consistency(Brief):
             meaning += ", or the association rejects the large ones"
         joint = f"joint 99.9 % band of {self.bands} tests" if self.bands > 1 else "99.9 % band"
         return (
-            f"mean NIS of {of} {nis.mean:.3g}, expected {nis.dof}, band {band.low:.3g} to "
-            f"{band.high:.3g}, is {meaning} (of {nis.count:,} innovations; {joint})"
+            f"mean NIS of {of} {nis.mean:.3g}, expected {nis.expected_words}, "
+            f"band {band.low:.3g} to {band.high:.3g}, is {meaning} "
+            f"(of {nis.count:,} innovations; {joint})"
         )
 
 
@@ -225,8 +226,8 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
         reading, (low, high) = nis.worded(consistency.outside)
         if reading == "too high" or (reading == "too low" and not consistency.gated):
             found.append(
-                f"NIS of {nis.name} {nis.mean / nis.dof:.3g} per degree of freedom, band "
-                f"{low / nis.dof:.3g} to {high / nis.dof:.3g}"
+                f"NIS of {nis.name} {nis.mean / nis.expected:.3g} per degree of freedom, band "
+                f"{low / nis.expected:.3g} to {high / nis.expected:.3g}"
             )
     return tuple(found)
 

@@ -219,7 +219,7 @@ def consistency_lines(
         ]  # fmt: skip
         found += [f"NEES {', '.join(nees)}"] if nees else []
     for sensor in c.innovations[:1]:
-        found += [f"NIS {n.mean / n.dof:.2g}" for n in sensor.nis[:1]]
+        found += [f"NIS {n.mean / n.expected:.2g}" for n in sensor.nis[:1]]
     if smoothed is not None and smoothed.squared_per_dof is not None:
         value = f"{smoothed.squared_per_dof:.2g}{_brackets(smoothed.departure)}"
         found.append(f"vs smoother {value}")

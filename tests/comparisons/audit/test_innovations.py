@@ -23,7 +23,7 @@ from comparisons.audit.consistency import (
 )
 from comparisons.audit.replay import BlockLayout
 from comparisons.innovations import InnovationLog, SensorInnovations, _lengthened
-from comparisons.statistics import onset, rarity, stretch
+from comparisons.statistics import Nis, onset, rarity, stretch
 from comparisons.trace.events import Augment, SensorDescription, Snapshot, Update
 from comparisons.trace.recorder import Recorder
 from graphslam.arrays import Marginal
@@ -250,6 +250,18 @@ def test_vectors_of_different_length_are_judged_together() -> None:
     assert departures(found, LEVEL) == []
     assert len(found.nis) == 1
     assert found.nis[0].mean == pytest.approx(2.5, abs=0.3)
+
+
+def test_the_words_of_different_lengths_rest_on_their_mean() -> None:
+    """On 2.4 degrees of freedom, which are not 2: the reading of `run` is that of `audit`."""
+    log, rng = InnovationLog("features"), np.random.default_rng(6)
+    for i in range(5000):
+        log.add(i, 0.1 * i, rng.standard_normal(2 if i % 5 < 3 else 3))
+    (nis,) = log.judge().nis
+    assert nis.worded(LEVEL)[0] == nis.reading == "plausible"
+    assert (nis.dof, nis.expected, nis.expected_words) == (2, 2.4, "2.4")
+    assert nis.chance() > LEVEL
+    assert Nis(nis.name, nis.dof, nis.count, nis.mean, nis.band).worded(LEVEL)[0] == "too high"
 
 
 def test_a_stacked_event_is_as_many_measurements() -> None:
