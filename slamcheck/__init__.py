@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from comparisons.report.figures.plots import plot_nees as plot_nees
     from comparisons.report.figures.style import plot_trajectory as plot_trajectory
     from comparisons.settings import run_config as run_config
+    from comparisons.trace.charts import BlockChart as BlockChart
     from comparisons.trace.recorder import Recorder as Recorder
     from comparisons.trace.wrapping import record as record
     from ekf_reference.core.ekf import Ekf as Ekf
@@ -95,6 +96,7 @@ _PLACES = {
     "MapConfig": "comparisons.config",
     "MonteCarlo": "comparisons.experiments.montecarlo.study:StudyOutcome",
     "OdometryConfig": "comparisons.config",
+    "BlockChart": "comparisons.trace.charts",
     "Recorder": "comparisons.trace.recorder",
     "RunConfig": "comparisons.config",
     "Solution": "comparisons.pipeline.solve",
@@ -128,7 +130,9 @@ _USES = {
     "Run EKF and smoother": ("compare", "Comparison", "RunConfig", "run_config"),
     "Check an estimate": ("check", "ExternalCheck", "CheckConfig"),
     "Compare two estimates": ("compare_estimates", "EstimateComparison"),
-    "Record a trace": ("record", "Recorder", "planar_directions", "inertial_directions"),
+    "Record a trace": (
+        *("record", "Recorder", "BlockChart", "planar_directions", "inertial_directions"),
+    ),
     "Audit a trace": ("audit", "Audit"),
     "Plot": ("plot_map", "plot_trajectory", "plot_errors", "plot_nees", "plot_ladder"),
     "Write a report": ("write_report",),
@@ -149,6 +153,7 @@ _USES = {
 
 __all__ = [
     "Audit",
+    "BlockChart",
     "CheckConfig",
     "Comparison",
     "CompressedEkf",

@@ -119,7 +119,7 @@ class _Compared(NamedTuple):
     effect: float
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _SlotRecords:
     """What is kept of a slot. operand: how its rows and columns are called."""
 
@@ -306,7 +306,7 @@ class FunctionCheck:
             (new,) = _generic((event.name,))
             name, words = "G_x", f"G_x of {new}"
         operand = Operand(name, shape, inner, new, inner, names, measured)
-        records = _SlotRecords(operand, sensor, event.blocks, words)
+        records = _SlotRecords(operand=operand, sensor=sensor, blocks=event.blocks, words=words)
         self._slots[key] = records
         return records
 

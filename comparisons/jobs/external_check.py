@@ -57,6 +57,7 @@ class ExternalCheck(Shown, Verdict):
         before: What is known of log and estimate before the checks are asked.
         qualifiers: What a reader of the outcome must know as well.
         inconsistent: What of its consistency is outside its band, None where nothing shows it.
+        failed_on: What of `--fail-on` the check fails on.
     """
 
     given: ExternalEstimate

@@ -1,11 +1,11 @@
 """How a block's numbers stand to its error: what a filter adds, and what it subtracts.
 
-In: names of charts as `events.CHARTS` has them, or a `Chart` of the filter's own. Out: `plus`, the
-numbers that an error leads to, and `minus`, the error that leads from numbers to others. The error
-is truth minus estimate, so `plus(estimate, error)` is the truth. Rotations are matrices from body
-to world; the error of an attitude is a rotation vector, on the world's side (left) or the body's
-(right); that of SE_2(3) is attitude, velocity, position, of a matrix [R v p] (Barrau and Bonnabel
-2017).
+In: names of charts as `events.CHARTS` has them, or a `BlockChart` of the filter's own. Out: `plus`,
+the numbers that an error leads to, and `minus`, the error that leads from numbers to others. The
+error is truth minus estimate, so `plus(estimate, error)` is the truth. Rotations are matrices from
+body to world; the error of an attitude is a rotation vector, on the world's side (left) or the
+body's (right); that of SE_2(3) is attitude, velocity, position, of a matrix [R v p] (Barrau and
+Bonnabel 2017).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ QUATERNIONS = ("wxyz", "xyzw")
 """Orders of a quaternion's numbers: the scalar first, or last."""
 
 
-class Chart(NamedTuple):
+class BlockChart(NamedTuple):
     """Of a block whose numbers are none of the known kinds.
 
     Attributes:
@@ -50,9 +50,9 @@ class JointChart:
     numbers are.
     """
 
-    def __init__(self, charts: Sequence[Chart], dims: Sequence[int]) -> None:
+    def __init__(self, charts: Sequence[BlockChart], dims: Sequence[int]) -> None:
         """charts, dims: of each block."""
-        self._parts: list[tuple[Chart, slice, slice]] = []
+        self._parts: list[tuple[BlockChart, slice, slice]] = []
         self.numbers = self.errors = 0
         for chart, dim in zip(charts, dims, strict=True):
             first = self.numbers, self.errors
@@ -110,7 +110,7 @@ class JointChart:
         return sizes
 
 
-def chart_of(name: str, dim: int, quaternions: str | None) -> Chart:
+def chart_of(name: str, dim: int, quaternions: str | None) -> BlockChart:
     """Return a known chart.
 
     Args:
@@ -123,16 +123,16 @@ def chart_of(name: str, dim: int, quaternions: str | None) -> Chart:
         ValueError: A block of so many entries has no such chart.
     """
     if name == ADDITIVE:
-        return Chart(dim, _added, _subtracted)
+        return BlockChart(dim, _added, _subtracted)
     kind, _, side = name.partition(" ")
     expected = {"angle": 1, "se2": 3, "so3": 3, "se23": 9}[kind]
     if dim != expected:
         raise ValueError(f"chart {name} has an error of {expected} entries, the block {dim}")
     if kind in ("angle", "se2"):
-        return Chart(dim, _added, _turned_back)
+        return BlockChart(dim, _added, _turned_back)
     attitude = _NUMBERS_OF_MATRIX if quaternions is None else _NUMBERS_OF_QUATERNION
     group = _Attitudes(quaternions, side == "left", with_motion=kind == "se23")
-    return Chart(attitude + (6 if kind == "se23" else 0), group.plus, group.minus)
+    return BlockChart(attitude + (6 if kind == "se23" else 0), group.plus, group.minus)
 
 
 def _added(numbers: Array, error: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
-from comparisons.trace.charts import QUATERNIONS, Chart, JointChart, chart_of
+from comparisons.trace.charts import QUATERNIONS, BlockChart, JointChart, chart_of
 from comparisons.trace.derivatives import Evaluated, Steps, evaluate
 
 FIRST = 100
@@ -31,7 +31,7 @@ class NotEvaluatedWarning(UserWarning):
     """A function of a filter could not be evaluated where the filter was."""
 
 
-class Outcome(NamedTuple):
+class FunctionOutcome(NamedTuple):
     """What a function leads to: slot, as `H of gps`, and a chart; None of a measurement."""
 
     slot: str
@@ -49,7 +49,7 @@ class FunctionSampler:
             raise ValueError(f"quaternions is {quaternions!r}, expected one of {QUATERNIONS}")
         self._every = 0 if share == 0.0 else max(1, round(1.0 / share))
         self._quaternions = quaternions
-        self._charts: dict[str, Chart] = {}
+        self._charts: dict[str, BlockChart] = {}
         self._sigma: dict[str, Array] = {}
         self._events: Counter[tuple[str, tuple[int, ...]]] = Counter()
         self._steps: dict[tuple[str, int], tuple[Steps, int]] = {}
@@ -61,7 +61,7 @@ class FunctionSampler:
         ends = np.cumsum(list(dims.values()))[:-1]
         self._sigma = dict(zip(dims, np.split(sigma, ends), strict=True))
 
-    def define(self, block: str, chart: Chart) -> None:
+    def define(self, block: str, chart: BlockChart) -> None:
         """Take a chart of the filter's own for a block."""
         self._charts[block] = chart
 
@@ -85,7 +85,7 @@ class FunctionSampler:
         function: Function,
         point: ArrayLike,
         before: JointChart,
-        outcome: Outcome,
+        outcome: FunctionOutcome,
         names: Sequence[str],
     ) -> Evaluated:
         """Evaluate a function. Raises ValueError where it gives no numbers, or not enough."""

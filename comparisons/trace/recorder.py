@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from comparisons.arrays import Array
 from comparisons.errors import InputError, quoted, shorten
 from comparisons.trace.batch import COLUMNS, KINDS, MOST_COLUMNS, ROW, pack
-from comparisons.trace.charts import Chart, JointChart
+from comparisons.trace.charts import BlockChart, JointChart
 from comparisons.trace.derivatives import Evaluated
 from comparisons.trace.events import (
     ADDITIVE,
@@ -36,7 +36,7 @@ from comparisons.trace.events import (
     TracePrior,
     Update,
 )
-from comparisons.trace.functions import Function, FunctionSampler, Outcome
+from comparisons.trace.functions import Function, FunctionOutcome, FunctionSampler
 from comparisons.trace.reader import APPLICATION, TABLES, VERSION, last_state
 from comparisons.trace.rows import MOST_ENTRIES
 
@@ -240,7 +240,7 @@ class Recorder:
         covariance: ArrayLike,
         *,
         point: ArrayLike | None = None,
-        charts: Mapping[str, str | Chart] | None = None,
+        charts: Mapping[str, str | BlockChart] | None = None,
     ) -> None:
         """Record the first covariance.
 
@@ -249,7 +249,7 @@ class Recorder:
             covariance: (n, n).
             point: The estimate, in the filter's own numbers.
             charts: Of blocks whose error is not added to their numbers, one of events.CHARTS, or
-                the filter's own `Chart`.
+                the filter's own `BlockChart`.
         """
         self._check_open()
         if self._dims:
@@ -285,8 +285,8 @@ class Recorder:
             F: (n, n) on the blocks.
             Q: (n, n).
             blocks: Those that the prediction moves.
-            function: f, of their numbers before it to those after it, as the filter has it for
-                this step: its derivative is what F should be. It needs point.
+            function: f, of their numbers before the step to those after it, with the filter's own
+                inputs, whose derivative F should be. It needs point.
             point: Their numbers before it, if the trace is to be compared with a log, or with f.
             after: Their numbers after it.
         """
@@ -562,7 +562,9 @@ class Recorder:
             elif outcome is not None:
                 name, dim, chart = outcome
                 after = sampler.joint((name,), (dim,), (chart,))
-            evaluated = sampler.evaluate(function, point, before, Outcome(slot, after), names)
+            evaluated = sampler.evaluate(
+                function, point, before, FunctionOutcome(slot, after), names
+            )
             if isinstance(outcome, int) and len(evaluated.value) != outcome:
                 raise ValueError(f"gives {len(evaluated.value)} numbers, expected {outcome}")
         except Exception as error:
@@ -669,9 +671,9 @@ class Recorder:
         self._dims[name], self._charts[name] = dim, chart
         self._sizes.clear()
 
-    def _chart_of_block(self, name: str, chart: str | Chart | None) -> str:
+    def _chart_of_block(self, name: str, chart: str | BlockChart | None) -> str:
         """Return the name of a block's chart."""
-        if isinstance(chart, Chart):
+        if isinstance(chart, BlockChart):
             self._functions.define(name, chart)
             return OWN_CHART
         return self._chart(ADDITIVE if chart is None else chart)

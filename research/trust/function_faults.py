@@ -72,7 +72,7 @@ FILTERS = {
 }  # fmt: skip
 
 
-class DrawnFault(NamedTuple):
+class DrawnFunctionFault(NamedTuple):
     """A fault of a filter. words: what it is."""
 
     filter: str
@@ -91,7 +91,7 @@ def slot(filtered: AuditedFilter, name: str) -> Slot:
     return slot_of(Operand(name, shape, inner, "", inner, tuple(filtered.state), measured))
 
 
-def drawn_faults(rng: np.random.Generator) -> Iterator[DrawnFault]:
+def drawn_faults(rng: np.random.Generator) -> Iterator[DrawnFunctionFault]:
     """Yield faults, without end."""
     names = list(FILTERS)
     while True:
@@ -103,7 +103,7 @@ def drawn_faults(rng: np.random.Generator) -> Iterator[DrawnFault]:
             every = list(parts(of_matrix))
             part, words = every[rng.integers(len(every))], list(AXES)[rng.integers(len(AXES))]
             said, change = f"{part.words} is {words}", _in_axes(name, part.mask, words)
-            yield DrawnFault(filter_name, name, said, change)
+            yield DrawnFunctionFault(filter_name, name, said, change)
             continue
         values = Values(sound=np.zeros((0, *of_matrix.shape)))
         pools = single_changes(of_matrix, values), numbered_changes(of_matrix)
@@ -114,7 +114,7 @@ def drawn_faults(rng: np.random.Generator) -> Iterator[DrawnFault]:
         if composition.change == "plus":
             continue
         numbers = (_FACTORS[rng.integers(len(_FACTORS))],) if composition.start else ()
-        yield DrawnFault(
+        yield DrawnFunctionFault(
             filter_name, name, composition.said(*numbers), _composed(name, composition, numbers)
         )
 
@@ -139,7 +139,7 @@ def _in_axes(name: str, mask: Mask, words: str) -> Change:
     return change
 
 
-def matters(fault: DrawnFault) -> bool:
+def matters(fault: DrawnFunctionFault) -> bool:
     """Whether a fault changes a matrix by more than rounding, at a state that is not special."""
     largest: list[float] = []
 
@@ -155,7 +155,7 @@ def matters(fault: DrawnFault) -> bool:
     return bool(np.isfinite(largest).all()) and max(largest) > _LEAST
 
 
-def judge(fault: DrawnFault, found: Audit) -> tuple[str, int]:
+def judge(fault: DrawnFunctionFault, found: Audit) -> tuple[str, int]:
     """Return `named`, `located`, `no effect` or `missed`, and how many others are faults."""
     slots = [figures for figures in found.functions if figures.slot.startswith(fault.slot)]
     if all(figures.largest_sigma <= found.tolerance for figures in slots):

@@ -161,7 +161,6 @@ def test_a_chi_square_that_counts_no_unknowns_falls_outside() -> None:
     for c in sound_runs():
         test = c.smoother.optimality.chi_square
         forgotten = chi_square_test(0.5 * test.chi2, test.dof + c.smoothed.landmark.size)
-        found.append(
-            figures_of(altered(c, "known.kept.gaps.result.optimality.chi_square", forgotten))
-        )
+        result = altered(c.smoother, "optimality.chi_square", forgotten)
+        found.append(figures_of(altered(c, "known.solved", (result, c.smoothed))))
     assert "chi-square of the smoother, mean per dof" in names(coverage(found))

@@ -478,7 +478,7 @@ def pair(record: Recorder, h: Array, r: Array) -> None:
     record.update("x", np.zeros(len(h)), h, r, blocks, point=point, numbers=[0, 1])
 
 
-def predict(record: Recorder, **points: Array) -> None:
+def predict(record: Recorder, **points: Any) -> None:
     record.at(1.0)
     record.predict(P, P, **points)
 

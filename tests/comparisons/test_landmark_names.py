@@ -35,11 +35,10 @@ EYE = np.eye(2)
 def recorded(folder: Path, called: Mapping[str, str], order: Iterable[str]) -> None:
     """A trace of a pose and four landmarks, each measured twice. called: the blocks."""
     pose = np.zeros(3)
-    points = {"point": pose, "after": pose}
     with Recorder(folder / TRACE) as record:
         record.prior({"pose": 3}, np.eye(3), point=pose)
         record.at(1.0)
-        record.predict(np.eye(3), np.eye(3), ["pose"], **points)
+        record.predict(np.eye(3), np.eye(3), ["pose"], point=pose, after=pose)
         for row, name in enumerate(order):
             block, state = called[name], np.append(pose, PLACE[name])
             record.augment(

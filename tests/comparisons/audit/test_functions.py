@@ -219,7 +219,7 @@ class Doubling:
         return np.array([[dt]])
 
     def h(self, x: Array, z: Array) -> Array:
-        return x**2
+        return np.asarray(x**2)
 
     def H(self, z: Array) -> Array:  # noqa: N802
         return np.array([[2.0 * self.x[0]]])
@@ -228,7 +228,7 @@ class Doubling:
         return np.eye(1)
 
     def residual(self, z: Array) -> Array:
-        return z - self.x**2
+        return np.asarray(z - self.x**2)
 
     def predict(self, dt: float) -> None:
         by_state = self.F(dt)

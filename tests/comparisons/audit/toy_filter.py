@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -143,7 +144,7 @@ class Toy:
         k = self.gain(self.number, sensor, kalman)
         a = np.eye(len(before)) - k @ whole
         change = self.correction(self.number, sensor, k @ residual)
-        extra = {"gain": k, "correction": change} if self.gains else {}
+        extra: dict[str, Any] = {"gain": k, "correction": change} if self.gains else {}
         record.update(sensor, residual, h, r, blocks, **extra)
         self.error = self.error - change
         self.covariance = a @ before @ a.T + k @ r @ k.T

@@ -9,7 +9,7 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.trace.charts import (
-    Chart,
+    BlockChart,
     JointChart,
     chart_of,
     quaternion_of,
@@ -29,7 +29,7 @@ KNOWN = {"additive": 4, "angle": 1, "se2": 3, "so3 left": 3, "so3 right": 3, "se
 ORDERS = (None, "wxyz", "xyzw")
 
 
-def drawn(name: str, chart: Chart, quaternions: str | None, rng: np.random.Generator) -> Array:
+def drawn(name: str, chart: BlockChart, quaternions: str | None, rng: np.random.Generator) -> Array:
     """Numbers of a block."""
     if not name.startswith("s") or name == "se2":
         return rng.normal(size=chart.numbers)
@@ -201,7 +201,7 @@ def test_other_options_are_refused(path: Path, options: dict[str, Any], said: st
 
 def test_a_chart_of_the_filters_own(path: Path) -> None:
     """An angle kept as a unit vector, of one error."""
-    chart = Chart(
+    chart = BlockChart(
         2,
         lambda numbers, error: np.array(
             (

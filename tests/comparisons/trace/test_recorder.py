@@ -68,6 +68,7 @@ def test_events_of_every_kind_are_recorded_again_as_they_were(path: Path) -> Non
         recorder.at(0.75)
         notes: dict[str, Any] = {"correction": [1.0, 2.0], "gain": [[0.5], [0.25]], "numbers": [7]}
         recorder.update("x", 1.0, [[1.0, 0.5]], 2.0, weight=0.5, **notes)
+        recorder.update("y", 1.0, 2.0, 2.0, ["a"], point=[1.0], function=np.exp, measured=[3.0])
         recorder.reject("x", 3.0, 1.0, 2.0, ["q"], point=[2.0])
         recorder.augment("new", 2.0, 1.0, 4.0, ["a"], after=[1.0], weight=0.0, chart="se2")
         recorder.clone("q", "copy")
