@@ -53,6 +53,8 @@ _ROUNDING = 1e-9
 """Relative, of entries and of values."""
 _SLIGHT = 1e-3
 """Share of what a step does in a column, below which a difference is slight; and in sigma."""
+_SMALL_SIGMA = 0.01
+"""What terms of second order in a small step change of an outcome at the most."""
 _OF_MATRIX = 9
 """Numbers of an attitude that is recorded as a matrix."""
 _WHOLE_TURN = 2.0 * np.pi
@@ -132,7 +134,6 @@ class _SlotRecords:
     count: int = 0
     off: int = 0
     wrong_values: int = 0
-    first_off: int = -1
     largest: float = 0.0
     last: _Compared | None = None
 
@@ -429,7 +430,8 @@ def _of_matrix(records: _SlotRecords) -> FunctionDifference:
     first, slot = deviating[0], slot_of(records.operand)
     whose = f"{records.off:,} of {records.count:,} that were evaluated{_since(records, first)}"
     most = f"by up to {records.largest:.2g} sigma"
-    if records.operand.name == "F" and all(_is_of_second_order(record) for record in deviating):
+    is_small = records.largest < _SMALL_SIGMA
+    if is_small and records.operand.name == "F" and all(map(_is_of_second_order, deviating)):
         text = "F is not the derivative of its function but for terms of second order in the step"
         return _difference(records, f"{text}, {most}, in {whose}", first, fault=False)
     lines, until = _named_changes(deviating, slot)

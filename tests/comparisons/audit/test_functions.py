@@ -152,6 +152,20 @@ def test_a_first_order_transition_is_a_note(tmp_path: Path) -> None:
     assert "but for terms of second order in the step" in note.text
 
 
+def test_a_large_step_hides_no_fault_in_its_square(tmp_path: Path) -> None:
+    """What F lacks is less than the square of F - I, and matters."""
+    p = np.eye(1)
+    with Recorder(tmp_path / "run.trace") as recorder:
+        recorder.prior({"a": 1}, p)
+        for _ in range(5):
+            recorder.predict(0.7, 0.01, point=[1.0], after=[0.5], function=lambda x: 0.5 * x)
+            p = 0.49 * p + 0.01
+            recorder.snapshot(p)
+    (fault,) = derivatives(audit(tmp_path / "run.trace"))
+    assert fault.fault
+    assert fault.text.startswith("F is 1.4 times the correct value: not the derivative of its")
+
+
 def test_a_fault_that_begins_has_its_event(tmp_path: Path) -> None:
     count = 0
 
